@@ -1,0 +1,22 @@
+"""Tasks to learn and demonstrations to learn from.
+
+Importing this package registers the door with gymnasium as ``AdroitDoor-v0``.
+"""
+
+from __future__ import annotations
+
+import gymnasium
+
+from envs.door.gymnasium_env import GYMNASIUM_ID, AdroitDoorEnv
+from envs.door.task import HORIZON
+from envs.door.torchrl_env import DoorEnv
+from envs.factory import make_env
+
+__all__ = ["DoorEnv", "make_env"]
+
+if GYMNASIUM_ID not in gymnasium.registry:
+    gymnasium.register(
+        GYMNASIUM_ID,
+        entry_point=f"{AdroitDoorEnv.__module__}:{AdroitDoorEnv.__name__}",
+        max_episode_steps=HORIZON,
+    )

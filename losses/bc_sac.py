@@ -1,0 +1,398 @@
+"""BC-SAC: soft actor-critic whose actor also imitates demonstrations (paper, section III)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
+from torchrl.modules import ProbabilisticActor, TanhNormal
+from torchrl.objectives import LossModule
+from torchrl.objectives.utils import hold_out_net
+
+from losses import functional as F
+from losses.ensemble import CriticEnsemble
+from losses.schedules import ConstantWeight, Schedule
+from losses.terms import ActorTerms, CriticTerms
+
+
+class BCSACLoss(LossModule):
+    r"""Critic, actor, temperature and imitation terms of BC-SAC and its relatives.
+
+    One flat batch ``[B]`` serves all terms. Rows marked ``is_demo`` are samples of the
+    demonstration distribution D; the imitation term is their mean. Reinforcement terms use the
+    other rows, or all of them with ``rl_on_demos``. The actor's objective (section III-C) is
+
+    .. math::
+        \min_\pi \; E_{s \sim R,\, a \sim \pi} [\alpha \log \pi(a|s) - Q(s, a)]
+        + \lambda_n E_{s, a \sim D} [-\log \pi(a|s)]
+
+    with lambda a constant (BC-SAC), lambda_0 alpha^n (DBC-SAC, section III-D) or any other
+    :class:`~losses.schedules.Schedule`. With no demonstrations, or weight 0, it is SAC, equal in
+    values and gradients to ``torchrl.objectives.SACLoss`` with ``loss_function="l2"``.
+
+    Networks are held as ordinary modules, not as functional parameters: an update costs about
+    a fifth less than ``SACLoss``'s, and the modules passed in are the ones that learn. Every loss
+    reaches the parameters of its own network only, so the backward passes may be taken together
+    or one by one, in any order.
+
+    The batch is never written to. Keys are renamed with ``set_keys``:
+
+    ==================== ============= ===================================================
+    name                 shape         meaning
+    ==================== ============= ===================================================
+    observation          [B, O]        state; also read under ``next``
+    action               [B, A]        in [-1, 1]
+    (next, reward)       [B, 1]        reward, or discounted sum of n rewards
+    (next, terminated)   [B, 1] bool   the environment's end, not a time limit
+    is_demo              [B, 1] bool   optional: the row comes from D
+    steps_to_next_obs    [B, 1] int    optional: environment steps n to ``next``
+    ==================== ============= ===================================================
+
+    Args:
+        actor: policy over one observation key with a ``TanhNormal``-like distribution on (-1, 1).
+        critic: module ``(observation [B, O], action [B, A]) -> [E, B, 1]``, or a list of modules
+            that return ``[B, 1]`` each.
+        gamma: discount per environment step, in [0, 1].
+        init_temperature: initial entropy weight alpha, > 0.
+        target_entropy: in nats; ``"auto"`` is minus the number of action dimensions, read from
+            the actor's spec.
+        learn_temperature: ``False`` keeps alpha where it starts.
+        bc_weight: lambda, a number or a schedule of the number of updates.
+        imitation: ``"nll"`` (section III-B) or ``"mse"`` of the deterministic action.
+        action_margin: demonstrated actions are kept this far inside (-1, 1) before they are
+            scored; see :func:`~losses.functional.clamp_to_support`.
+        target_subset: critics in the target's minimum, drawn anew at each call; ``None`` is all.
+        actor_value: the critics' ``"min"`` or ``"mean"`` is what the actor maximises.
+        entropy_in_target: whether the backup carries the entropy bonus.
+        rl_on_demos: whether the reinforcement terms use the demonstration rows too.
+        tau: share of the critic that one :meth:`update_target` moves into the target, in [0, 1].
+        loss_function: regression error of the critic.
+
+    Raises:
+        ValueError: for an argument outside its range, an actor with more than one input, or an
+            ``"auto"`` target entropy for an actor without a spec.
+    """
+
+    @dataclass
+    class _AcceptedKeys:
+        observation: NestedKey = "observation"
+        action: NestedKey = "action"
+        reward: NestedKey = "reward"
+        terminated: NestedKey = "terminated"
+        is_demo: NestedKey = "is_demo"
+        steps_to_next_obs: NestedKey = "steps_to_next_obs"
+
+    default_keys = _AcceptedKeys
+    tensor_keys: _AcceptedKeys
+    log_alpha: nn.Parameter
+
+    out_keys = [  # noqa: RUF012 - TensorDictModuleBase's own contract
+        "loss_qvalue",
+        "loss_actor",
+        "loss_alpha",
+        "loss_bc",
+        "alpha",
+        "entropy",
+        "bc_nll",
+        "bc_weight",
+        "q_data",
+        "q_policy",
+        "q_target",
+    ]
+
+    def __init__(
+        self,
+        actor: ProbabilisticActor,
+        critic: nn.Module | Sequence[nn.Module],
+        *,
+        gamma: float = 0.99,
+        init_temperature: float = 0.1,
+        target_entropy: float | Literal["auto"] = "auto",
+        learn_temperature: bool = True,
+        bc_weight: Schedule | float = 1.0,
+        imitation: Literal["nll", "mse"] = "nll",
+        action_margin: float = 1e-2,
+        target_subset: int | None = None,
+        actor_value: Literal["min", "mean"] = "min",
+        entropy_in_target: bool = True,
+        rl_on_demos: bool = False,
+        tau: float = 0.005,
+        loss_function: F.CriticDistance = "l2",
+    ) -> None:
+        super().__init__()
+        _require("gamma", gamma, 0.0 <= gamma <= 1.0, "in [0, 1]")
+        _require("tau", tau, 0.0 <= tau <= 1.0, "in [0, 1]")
+        _require("init_temperature", init_temperature, init_temperature > 0.0, "> 0")
+        _require("action_margin", action_margin, 0.0 < action_margin < 1.0, "in (0, 1)")
+        _require("imitation", imitation, imitation in F.IMITATION_ERRORS, "nll or mse")
+        _require("actor_value", actor_value, actor_value in F.ENSEMBLE_VALUES, "min or mean")
+        _require("actor", actor.in_keys, len(actor.in_keys) == 1, "a policy with one input key")
+
+        self.actor = actor
+        self.critic = critic if isinstance(critic, nn.Module) else CriticEnsemble(critic)
+        self.target_critic = deepcopy(self.critic).requires_grad_(False)
+        self.log_alpha = nn.Parameter(
+            torch.tensor(math.log(init_temperature), device=next(actor.parameters()).device),
+            requires_grad=learn_temperature,
+        )
+        self.target_entropy = (
+            _negative_action_size(actor) if target_entropy == "auto" else float(target_entropy)
+        )
+        self.bc_weight = bc_weight if callable(bc_weight) else ConstantWeight(float(bc_weight))
+        self.gamma = gamma
+        self.action_margin = action_margin
+        self.entropy_in_target = entropy_in_target
+        self.rl_on_demos = rl_on_demos
+        self.loss_function = loss_function
+        # A Python number, not a buffer: on an accelerator, reading one would be a wait per update.
+        self.updates = 0
+        self._imitation_error = F.IMITATION_ERRORS[imitation]
+        self._actor_value = F.ENSEMBLE_VALUES[actor_value]
+        self._target_value = partial(F.subset_minimum, size=target_subset)
+        # The averaging function of AveragedModel without its shell, which copies instead of
+        # averaging at the first update and reads a counter back from the device at each.
+        self._average = get_ema_multi_avg_fn(1.0 - tau)
+
+    # ---------------------------------------------------------------- terms, each callable alone
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDict:
+        """Compute all terms of a flat batch at the present parameters.
+
+        Args:
+            tensordict: ``[B]`` with the keys of the class table.
+
+        Returns:
+            Scalars under :attr:`out_keys`. Their ``loss_*`` entries sum to what is minimised
+            (``loss_bc`` is weighted); the rest are detached: the temperature, the policy's mean
+            entropy in nats, the unweighted imitation error and its weight, and the mean values
+            of the batch's actions, of the policy's own and of the target. ``q_policy`` rising
+            away from ``q_data`` is the critic's overestimation off the data.
+        """
+        critic = self.critic_terms(tensordict)
+        actor = self.actor_terms(tensordict)
+        weight = self.current_bc_weight
+        return TensorDict(
+            {
+                "loss_qvalue": critic.loss,
+                "loss_actor": actor.rl,
+                "loss_alpha": self.alpha_loss(actor.log_prob),
+                "loss_bc": weight * actor.bc,
+                "alpha": self.alpha,
+                "entropy": -actor.log_prob.mean(),
+                "bc_nll": actor.bc.detach(),
+                "bc_weight": torch.full_like(actor.bc, weight),
+                "q_data": critic.q.mean(),
+                "q_policy": actor.q.mean(),
+                "q_target": critic.target.mean(),
+            }
+        )
+
+    def critic_terms(self, tensordict: TensorDictBase) -> CriticTerms:
+        """Compute the critics' loss (section III-A) on the reinforcement rows.
+
+        Args:
+            tensordict: ``[B]`` with the keys of the class table.
+        """
+        keys = self.tensor_keys
+        batch = self._reinforcement_batch(tensordict)
+        target = self._soft_td_target(batch)
+        q = self.critic(batch[keys.observation], batch[keys.action])
+        loss = F.critic_error(q, target, self.loss_function).mean()
+        return CriticTerms(loss, q.detach(), target)
+
+    def actor_terms(self, tensordict: TensorDictBase) -> ActorTerms:
+        """Compute both halves of the actor's objective with one forward pass of the actor.
+
+        Args:
+            tensordict: ``[B]``; of the class table, only observation, action and is_demo are read.
+        """
+        observation = tensordict[self.tensor_keys.observation]
+        policy = self._policy(observation)
+        # Sampling every row is cheap; the critics are not, so they see the rows that count only.
+        drawn = (observation, *policy.rsample_and_log_prob())
+        rows = self._reinforcement_rows(tensordict)
+        if rows is not None:
+            drawn = tuple(tensor.index_select(0, rows) for tensor in drawn)
+        rl, q = self._reinforcement(*drawn)
+        _, _, log_prob = drawn
+        return ActorTerms(rl, self._imitation(policy, tensordict), log_prob.detach(), q)
+
+    def qvalue_loss(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the loss ``[]`` of :meth:`critic_terms`."""
+        return self.critic_terms(tensordict).loss
+
+    def actor_loss(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the reinforcement half ``[]`` of :meth:`actor_terms`; no other row is run."""
+        observation = self._reinforcement_batch(tensordict)[self.tensor_keys.observation]
+        rl, _ = self._reinforcement(observation, *self._policy(observation).rsample_and_log_prob())
+        return rl
+
+    def bc_loss(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the unweighted imitation half ``[]`` of :meth:`actor_terms`; no critic is run."""
+        observation = tensordict[self.tensor_keys.observation]
+        return self._imitation(self._policy(observation), tensordict)
+
+    def alpha_loss(self, batch: TensorDictBase | Tensor) -> Tensor:
+        """Compute the temperature's loss ``[]``.
+
+        Args:
+            batch: ``[B]`` transitions, on which the policy is sampled, or the log-densities
+                ``[R]`` of actions sampled already (:attr:`ActorTerms.log_prob`).
+        """
+        if not isinstance(batch, Tensor):
+            observation = self._reinforcement_batch(batch)[self.tensor_keys.observation]
+            with torch.no_grad():
+                _, batch = self._policy(observation).rsample_and_log_prob()
+        return F.temperature_objective(batch, self.log_alpha, self.target_entropy).mean()
+
+    # ------------------------------------------------------------------------ state between calls
+
+    @property
+    def alpha(self) -> Tensor:
+        """The temperature ``[]``, detached."""
+        return self.log_alpha.detach().exp()
+
+    @property
+    def current_bc_weight(self) -> float:
+        """The weight lambda of the imitation term at the present number of updates."""
+        return self.bc_weight(self.updates)
+
+    def advance(self) -> None:
+        """Count one update; the schedule of the imitation weight moves on."""
+        self.updates += 1
+
+    @torch.no_grad()
+    def update_target(self) -> None:
+        """Move the target critics by ``tau`` towards the critics; copy buffers, if there are any.
+
+        Buffers are statistics (of a normalisation, say), which an average of two would falsify.
+        """
+        self._average(list(self.target_critic.parameters()), list(self.critic.parameters()), None)
+        for mine, theirs in zip(self.target_critic.buffers(), self.critic.buffers(), strict=True):
+            mine.copy_(theirs)
+
+    def get_extra_state(self) -> Tensor:
+        """Return the number of updates, for ``state_dict``."""
+        return torch.tensor(self.updates)
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Restore the number of updates from ``state_dict``."""
+        self.updates = int(state)
+
+    # ------------------------------------------------------------------------- TorchRL's contract
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """The entries that a batch must have; is_demo and steps_to_next_obs are optional."""
+        keys = self.tensor_keys
+        return [
+            keys.observation,
+            keys.action,
+            ("next", keys.observation),
+            ("next", keys.reward),
+            ("next", keys.terminated),
+        ]
+
+    @property
+    def functional(self) -> bool:
+        """False: networks are held as ordinary modules."""
+        return False
+
+    # ----------------------------------------------------------------------------- shared pieces
+
+    def _policy(self, observation: Tensor) -> TanhNormal:
+        """Run the actor on ``[B, O]``; nothing but the observation is handed to it."""
+        (key,) = self.actor.in_keys
+        return self.actor.get_dist(TensorDict({key: observation}, [len(observation)]))
+
+    @torch.no_grad()
+    def _soft_td_target(self, batch: TensorDictBase) -> Tensor:
+        """Return the regression target ``[R, 1]`` of the batch's critics."""
+        keys = self.tensor_keys
+        next_observation = batch["next", keys.observation]
+        next_action, next_log_prob = self._policy(next_observation).rsample_and_log_prob()
+        return F.soft_td_target(
+            reward=batch["next", keys.reward],
+            terminated=batch["next", keys.terminated],
+            next_q=self._target_value(self.target_critic(next_observation, next_action)),
+            next_log_prob=next_log_prob,
+            temperature=self.alpha,
+            gamma=self.gamma,
+            steps=batch.get(keys.steps_to_next_obs, None),
+            entropy_in_target=self.entropy_in_target,
+        )
+
+    def _reinforcement(
+        self, observation: Tensor, action: Tensor, log_prob: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return the actor's reinforcement objective ``[]`` and the detached values ``[R, 1]``."""
+        # The action must carry a gradient through the critics, their parameters must not get one.
+        with hold_out_net(self.critic):
+            q = self._actor_value(self.critic(observation, action))
+        return F.actor_objective(log_prob, q, self.alpha).mean(), q.detach()
+
+    def _imitation(self, policy: TanhNormal, tensordict: TensorDictBase) -> Tensor:
+        """Return the mean imitation error ``[]`` over the demonstration rows."""
+        action = tensordict[self.tensor_keys.action]
+        is_demo = self._is_demo(tensordict)
+        if is_demo is None:
+            return action.new_zeros(())
+        # Deviation: the paper scores recorded actions as they are. At the edge of tanh's range that
+        # likelihood and its gradient explode; action_margin=1e-6, float32's limit, undoes this.
+        action = F.clamp_to_support(action, self.action_margin)
+        return F.masked_mean(self._imitation_error(policy, action), is_demo)
+
+    def _is_demo(self, tensordict: TensorDictBase) -> Tensor | None:
+        """Return the mask ``[B]`` of the demonstration rows, ``None`` if there are no marks."""
+        mask = tensordict.get(self.tensor_keys.is_demo, None)
+        return None if mask is None else mask.squeeze(-1)
+
+    def _reinforcement_rows(self, tensordict: TensorDictBase) -> Tensor | None:
+        """Return the indices ``[R]`` of the rows for reinforcement, ``None`` for all of them.
+
+        Finding indices makes an accelerator's host wait, once: the price of not running the
+        critics on rows that do not count. With ``rl_on_demos`` there is nothing to find.
+
+        Raises:
+            ValueError: if there are no such rows.
+        """
+        is_demo = self._is_demo(tensordict)
+        if self.rl_on_demos or is_demo is None:
+            return None
+        rows = is_demo.logical_not().nonzero().squeeze(-1)
+        if len(rows) == 0:
+            raise ValueError(
+                "all rows of the batch are demonstrations, which leaves none for reinforcement: "
+                "mix in other transitions, set rl_on_demos=True, or call bc_loss alone"
+            )
+        return rows
+
+    def _reinforcement_batch(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Return the transitions ``[R]`` that the reinforcement terms use."""
+        rows = self._reinforcement_rows(tensordict)
+        return tensordict if rows is None else tensordict[rows]
+
+
+def _negative_action_size(actor: ProbabilisticActor) -> float:
+    """Return minus the number of action dimensions that the actor's spec states."""
+    action_key = actor[-1].out_keys[0]
+    if actor.spec is None or actor.spec.get(action_key) is None:
+        raise ValueError(
+            "target_entropy='auto' needs the size of the action: build the actor with spec=, "
+            "or give target_entropy as a number"
+        )
+    return -float(actor.spec[action_key].shape[-1])
+
+
+def _require(name: str, value: object, holds: bool, expected: str) -> None:
+    """Raise ``ValueError`` naming the argument unless ``holds``."""
+    if not holds:
+        raise ValueError(f"{name} must be {expected}, got {value!r}")

@@ -1,0 +1,129 @@
+"""The replay buffers: main, demonstrations, and demonstrations that grow.
+
+All three are TorchRL ``TensorDictReplayBuffer``s of the same rows (see ``rows.py``).  The
+demonstration distribution D of the paper is the union of the fixed core and the grown part.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import ImmutableDatasetWriter, LazyTensorStorage, TensorDictReplayBuffer
+
+
+def make_buffer(capacity: int, device: torch.device | str = "cpu") -> TensorDictReplayBuffer:
+    """A ring of ``capacity`` rows sampled uniformly with replacement."""
+    return TensorDictReplayBuffer(storage=LazyTensorStorage(capacity, device=device))
+
+
+def make_core_buffer(
+    rows: TensorDictBase, device: torch.device | str = "cpu"
+) -> TensorDictReplayBuffer:
+    """A read-only buffer that holds exactly ``rows`` [R].
+
+    Raises:
+        ValueError: If there are no rows.
+    """
+    if rows.numel() == 0:
+        raise ValueError("The demonstrations hold no transitions; check demos.source and demos.limit.")
+    storage = LazyTensorStorage(rows.shape[0], device=device)
+    storage.set(range(rows.shape[0]), rows.to(device))
+    return TensorDictReplayBuffer(storage=storage, writer=ImmutableDatasetWriter())
+
+
+@dataclass(frozen=True)
+class EpisodeRecord:
+    """Provenance of one grown episode."""
+
+    source: str
+    """Who acted: ``policy`` (SID) or ``bc_model`` (ILD)."""
+    length: int
+    """Rows."""
+    episode_return: float
+    """Undiscounted sum of the task's rewards."""
+    max_angle: float
+    """Largest hinge angle in rad; NaN where the task has none."""
+    frame: int
+    """Training frames collected when it was admitted; its age is the difference to now."""
+
+
+class GrownDemonstrations:
+    """Whole episodes admitted to D after the start (paper, sections III-E and III-E.1).
+
+    The rows live in a ring: when it is full, the oldest episode's rows are overwritten first, and
+    an episode's record goes with its first row.
+
+    Args:
+        capacity: Rows.
+        device: Where the rows are kept.
+    """
+
+    def __init__(self, capacity: int, device: torch.device | str = "cpu") -> None:
+        self.capacity = capacity
+        self.buffer = make_buffer(capacity, device)
+        self.records: deque[EpisodeRecord] = deque()
+
+    def __len__(self) -> int:
+        return len(self.buffer)
+
+    def add(self, rows: TensorDictBase, record: EpisodeRecord) -> None:
+        """Admits one episode's rows [T].
+
+        Raises:
+            ValueError: If the episode is longer than the capacity.
+        """
+        if rows.shape[0] > self.capacity:
+            raise ValueError(
+                f"An episode of {rows.shape[0]} rows does not fit in growth.capacity={self.capacity}."
+            )
+        self.buffer.extend(rows)
+        self.records.append(record)
+        while sum(r.length for r in self.records) > self.capacity:
+            self.records.popleft()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Records only; the checkpoint stores the ring itself with TorchRL's own adapter."""
+        return {"records": [asdict(record) for record in self.records]}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self.records = deque(EpisodeRecord(**record) for record in state["records"])
+
+
+class DemonstrationDistribution:
+    """The paper's D: the core demonstrations and the grown ones, uniform over all their rows.
+
+    Args:
+        core: Read-only buffer of the given demonstrations.
+        grown: Episodes that joined later, if the variant has any.
+    """
+
+    def __init__(
+        self, core: TensorDictReplayBuffer, grown: GrownDemonstrations | None = None
+    ) -> None:
+        self.core = core
+        self.grown = grown
+
+    def __len__(self) -> int:
+        return len(self.core) + (len(self.grown) if self.grown is not None else 0)
+
+    def sample(self, n: int) -> TensorDictBase:
+        """Draws ``n`` rows with replacement; the grown part gets its proportional share.
+
+        The share is rounded up or down at random so that it is exact on average.
+        """
+        if self.grown is None or len(self.grown) == 0:
+            return self.core.sample(n)
+        expected = n * len(self.grown) / len(self)
+        n_grown = min(n, int(expected + torch.rand(()).item()))
+        parts: Sequence[TensorDictBase] = [
+            buffer.sample(count)
+            for buffer, count in ((self.core, n - n_grown), (self.grown.buffer, n_grown))
+            if count > 0
+        ]
+        return torch.cat(list(parts)) if len(parts) > 1 else parts[0]

@@ -1,0 +1,97 @@
+"""Command line of everything but training: eval, table, demos-check, record, video."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from tabulate import tabulate
+
+from envs.demonstrations import DemonstrationError
+from pipeline import report
+from pipeline.run_dir import EVALUATION, RunDirectoryError, write_atomically
+from pipeline.tables import render
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
+RunDir = Annotated[Path, typer.Argument(help="A run directory.")]
+Overrides = Annotated[list[str] | None, typer.Argument(help="key=value on top of its config.")]
+
+
+@app.command("eval")
+def evaluate(
+    run: RunDir,
+    overrides: Overrides = None,
+    episodes: Annotated[int | None, typer.Option(help="Doors; default: the run's own.")] = None,
+    out: Annotated[Path | None, typer.Option(help="JSON file; default: RUN/evaluation.json")] = None,
+) -> None:
+    """Evaluate the newest checkpoint of RUN: the columns of Tables I and II."""
+    result = report.evaluate_run(run, overrides or [], episodes)
+    path = out if out is not None else run / EVALUATION
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, json.dumps(result, indent=2) + "\n")
+    typer.echo(tabulate(_scalars(result).items(), floatfmt=".4g"))
+    typer.echo(f"written to {path}")
+
+
+@app.command("table")
+def table(
+    runs: Annotated[list[Path], typer.Argument(help="Evaluated runs or evaluation JSON files.")],
+    out: Annotated[Path | None, typer.Option(help="Also write the Markdown here.")] = None,
+) -> None:
+    """Tables I and II of several evaluated runs beside the paper's numbers."""
+    text = render([report.load_evaluation(run) for run in runs])
+    if out is not None:
+        write_atomically(out, text + "\n")
+    typer.echo(text)
+
+
+@app.command("demos-check")
+def demos_check(
+    source: Annotated[str, typer.Argument(help="bundled | path | minari:ID")] = "bundled",
+    resimulate: Annotated[bool, typer.Option(help="Replay in our simulator.")] = True,
+) -> None:
+    """Validate a demonstration source and tabulate its episodes."""
+    typer.echo(report.demonstrations_table(source, resimulate=resimulate))
+
+
+@app.command("record")
+def record(
+    run: RunDir,
+    out: Annotated[Path, typer.Option(help="HDF5 file to write.")],
+    episodes: Annotated[int, typer.Option(help="Successful episodes to keep.")] = 25,
+    attempts: Annotated[int, typer.Option(help="Doors to try at most.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Of the list of doors.")] = 0,
+) -> None:
+    """Record a demonstration set from RUN's policy, filtered by success (the paper's ILD)."""
+    typer.echo(report.record_demonstrations(run, out, episodes, attempts, seed))
+
+
+@app.command("video")
+def video(
+    run: RunDir,
+    out: Annotated[Path | None, typer.Option(help="MP4 file; default: RUN/video.mp4")] = None,
+    episodes: Annotated[int, typer.Option(help="Doors to film, one after the other.")] = 3,
+) -> None:
+    """Film RUN's policy."""
+    path = out if out is not None else run / "video.mp4"
+    report.film(run, path, episodes)
+    typer.echo(f"written to {path}")
+
+
+def _scalars(result: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in result.items() if v is None or isinstance(v, (int, float, str))}
+
+
+def main() -> None:
+    """Runs the command line; user errors become one line and exit code 1."""
+    try:
+        app()
+    except (DemonstrationError, RunDirectoryError, ValueError, OSError, ImportError) as error:
+        sys.exit(f"error: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""Parts of a run, each made from the values of the configuration that it needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase
+from torchrl.modules import ProbabilisticActor
+
+from configs.schema import ActorConfig, Config, CriticConfig, DemosConfig, LossConfig
+from envs import make_env
+from envs.demonstrations import (
+    DemonstrationSet,
+    MultiplyConfig,
+    load_demonstrations,
+    to_tensordict,
+)
+from losses import BCSACLoss, make_schedule
+from pipeline.evaluation import Evaluator
+from pipeline.networks import BatchedCritics, ObservationNormalizer, make_actor
+from pipeline.rows import TransitionRows
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """The core of D, ready for the buffers."""
+
+    rows: TensorDictBase
+    """Transitions [R] of all episodes."""
+    content_hash: str
+    """Of the episodes, for caches and for the record."""
+    source: str
+
+    def normalizer(self) -> ObservationNormalizer:
+        """Standardisation by the mean and standard deviation of the demonstrated observations."""
+        observation = self.rows["observation"]
+        return ObservationNormalizer(observation.mean(0), observation.std(0))
+
+
+def make_demonstrations(
+    demos: DemosConfig, to_rows: TransitionRows, *, cache_dir: Path, num_threads: int | None
+) -> Demonstrations:
+    """Loads, checks, re-simulates and multiplies the demonstrations as configured."""
+    multiply = None
+    if demos.multiply.enabled:
+        multiply = MultiplyConfig(
+            target_episodes=demos.multiply.target_episodes,
+            seed=demos.multiply.seed,
+            noise_scale=demos.multiply.noise_scale,
+            speed_low=demos.multiply.speed_low,
+            speed_high=demos.multiply.speed_high,
+            min_angle=demos.multiply.min_angle,
+        )
+    loaded: DemonstrationSet = load_demonstrations(
+        demos.source,
+        resimulate=demos.resimulate,
+        multiply=multiply,
+        num_threads=num_threads,
+        cache_dir=cache_dir,
+        limit=demos.limit,
+    )
+    rows = torch.cat([to_rows(episode) for episode in to_tensordict(loaded.episodes)])
+    return Demonstrations(rows=rows, content_hash=loaded.content_hash, source=loaded.source)
+
+
+def make_rows(loss: LossConfig) -> TransitionRows:
+    """The conversion from trajectories to rows that all buffers share."""
+    return TransitionRows(loss.gamma, loss.n_step, loss.reward_scale)
+
+
+def make_training_env(config: Config) -> EnvBase:
+    """The batched environment of the collector."""
+    return make_env(
+        config.env.name,
+        num_envs=config.env.num_envs,
+        seed=config.seed,
+        device=config.device,
+        num_threads=config.env.num_threads,
+        horizon=config.env.horizon,
+    )
+
+
+def make_policy(
+    actor: ActorConfig, env: EnvBase, normalizer: ObservationNormalizer | None, device: str
+) -> ProbabilisticActor:
+    """The actor for the spaces of ``env``."""
+    return make_actor(
+        env.observation_spec["observation"].shape[-1],
+        env.action_spec.shape[-1],
+        actor.hidden,
+        log_std_min=actor.log_std_min,
+        log_std_max=actor.log_std_max,
+        layer_norm=actor.layer_norm,
+        normalizer=normalizer,
+    ).to(device)
+
+
+def make_critic(
+    critic: CriticConfig, env: EnvBase, normalizer: ObservationNormalizer | None, device: str
+) -> BatchedCritics:
+    """The critic ensemble for the spaces of ``env``."""
+    return BatchedCritics(
+        env.observation_spec["observation"].shape[-1],
+        env.action_spec.shape[-1],
+        critic.hidden,
+        critic.num_critics,
+        layer_norm=critic.layer_norm,
+        normalizer=normalizer,
+    ).to(device)
+
+
+def make_loss(
+    loss: LossConfig, actor: ProbabilisticActor, critic: BatchedCritics, action_size: int
+) -> BCSACLoss:
+    """BCSACLoss with the configured terms."""
+    schedule = {key: value for key, value in loss.bc_weight.items() if value is not None}
+    return BCSACLoss(
+        actor,
+        critic,
+        gamma=loss.gamma,
+        init_temperature=loss.init_temperature,
+        target_entropy=-float(action_size) if loss.target_entropy is None else loss.target_entropy,
+        learn_temperature=loss.learn_temperature,
+        bc_weight=make_schedule(**schedule),
+        imitation=loss.imitation,
+        action_margin=loss.action_margin,
+        target_subset=loss.target_subset,
+        actor_value=loss.actor_value,
+        entropy_in_target=loss.entropy_in_target,
+        rl_on_demos=loss.rl_on_demos,
+        tau=loss.tau,
+    )
+
+
+def make_evaluator(config: Config, *, episodes: int) -> Evaluator:
+    """The evaluation of this run's policy."""
+    return Evaluator(
+        env_name=config.env.name,
+        episodes=episodes,
+        seed=config.evaluation.seed,
+        batch=config.evaluation.batch,
+        exploration=config.evaluation.exploration,
+        horizon=config.env.horizon,
+        num_threads=config.env.num_threads,
+        device=config.device,
+    )
+
+
+def make_normalizer(
+    part: ActorConfig | CriticConfig, demos: Demonstrations | None
+) -> ObservationNormalizer | None:
+    """The standardisation that a network asks for, from the statistics of the demonstrations.
+
+    Raises:
+        ValueError: If one is asked for but there are no demonstrations.
+    """
+    if not part.normalise_observations:
+        return None
+    if demos is None:
+        raise ValueError(
+            "normalise_observations=true needs demonstrations, whose statistics it uses, but this "
+            "composition has none: set actor.normalise_observations=false and "
+            "critic.normalise_observations=false."
+        )
+    return demos.normalizer()

@@ -1,0 +1,72 @@
+"""Whole episodes out of a stream of collected batches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+
+@dataclass(frozen=True)
+class FinishedEpisode:
+    """One complete episode and what judges it."""
+
+    trajectory: TensorDictBase
+    """Transitions [T] in the order they happened."""
+    episode_return: float
+    """Undiscounted sum of rewards."""
+    max_angle: float
+    """Largest hinge angle in rad; NaN where the task has none."""
+
+    @property
+    def length(self) -> int:
+        """Control steps."""
+        return self.trajectory.shape[0]
+
+    @classmethod
+    def from_trajectory(cls, trajectory: TensorDictBase) -> FinishedEpisode:
+        """Reads return and angle off a trajectory [T]."""
+        angle = trajectory.get(("next", "hinge_angle"), None)
+        return cls(
+            trajectory=trajectory,
+            episode_return=float(trajectory["next", "reward"].sum()),
+            max_angle=float("nan") if angle is None else float(angle.max()),
+        )
+
+
+class EpisodeAssembler:
+    """Joins the pieces of each environment's trajectory until the episode is done.
+
+    Batches [N, T] cut episodes anywhere; row i of the next batch goes on where row i of this ended.
+    """
+
+    def __init__(self) -> None:
+        self._open: dict[int, list[TensorDictBase]] = {}
+
+    def __call__(self, batch: TensorDictBase) -> list[FinishedEpisode]:
+        """Takes the next batch [N, T]; returns the episodes that ended in it."""
+        done = batch["next", "done"].squeeze(-1)
+        finished = []
+        for i, row_done in enumerate(done):
+            start = 0
+            for end in (row_done.nonzero().squeeze(-1) + 1).tolist():
+                pieces = [*self._open.pop(i, []), batch[i, start:end]]
+                trajectory = torch.cat(pieces) if len(pieces) > 1 else pieces[0]
+                finished.append(FinishedEpisode.from_trajectory(trajectory))
+                start = end
+            if start < batch.shape[1]:
+                self._open.setdefault(i, []).append(batch[i, start:])
+        return finished
+
+    def state_dict(self) -> dict[str, Any]:
+        """The unfinished episodes."""
+        return {str(i): torch.cat(pieces).to_dict() for i, pieces in self._open.items()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self._open = {
+            int(i): [TensorDict(entries, batch_size=[entries["action"].shape[0]])]
+            for i, entries in state.items()
+        }

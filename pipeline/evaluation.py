@@ -1,0 +1,196 @@
+"""Evaluation of a policy over a fixed list of episodes (paper, section IV-D)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from envs import make_env
+from envs.door.metrics import DoorMetrics, summarise
+from envs.door.starts import door_position
+
+Exploration = Literal["mean", "sample"]
+EXPLORATION: dict[str, ExplorationType] = {
+    "mean": ExplorationType.DETERMINISTIC,
+    "sample": ExplorationType.RANDOM,
+}
+
+
+@dataclass(frozen=True)
+class ReturnMetrics:
+    """Summary of episodes of a task that has no door."""
+
+    episodes: int
+    return_mean: float
+    return_std: float
+    length_mean: float
+
+
+@dataclass(frozen=True)
+class Rollouts:
+    """Raw results of E episodes, at most T steps each."""
+
+    returns: NDArray[np.float64]
+    """Undiscounted return, shape [E]."""
+    lengths: NDArray[np.int64]
+    """Control steps, shape [E]."""
+    hinge_angle: NDArray[np.float32] | None
+    """Hinge angle after each step, shape [E, T], rad; NaN after the end; None without a door."""
+
+    def metrics(self) -> DoorMetrics | ReturnMetrics:
+        """The paper's columns, or just returns for other tasks."""
+        if self.hinge_angle is not None:
+            return summarise(self.hinge_angle, self.returns, self.lengths)
+        return ReturnMetrics(
+            episodes=len(self.returns),
+            return_mean=float(self.returns.mean()),
+            return_std=float(self.returns.std()),
+            length_mean=float(self.lengths.mean()),
+        )
+
+    @classmethod
+    def join(cls, waves: list[Rollouts]) -> Rollouts:
+        """Puts waves of episodes behind one another."""
+        angles = [wave.hinge_angle for wave in waves if wave.hinge_angle is not None]
+        width = max((angle.shape[1] for angle in angles), default=0)
+        padded = [
+            np.pad(a, ((0, 0), (0, width - a.shape[1])), constant_values=np.nan) for a in angles
+        ]
+        return cls(
+            returns=np.concatenate([wave.returns for wave in waves]),
+            lengths=np.concatenate([wave.lengths for wave in waves]),
+            hinge_angle=np.concatenate(padded) if padded else None,
+        )
+
+
+@dataclass(frozen=True)
+class Evaluator:
+    """Runs a policy on the same episodes every time.
+
+    Episode i of the door stands where ``envs.door.starts.door_position(seed, i, 0)`` says, so the
+    list does not depend on ``batch``; other tasks are seeded with ``seed`` and depend on it.
+
+    Args:
+        env_name: As for ``envs.make_env``.
+        episodes: How many.
+        seed: Of the list.
+        batch: Episodes stepped together.
+        exploration: ``mean`` takes the policy's tanh(loc), ``sample`` draws.
+        horizon: Control steps; None is the task's own.
+        num_threads: Physics threads.
+        device: Of the environment's tensors.
+
+    Raises:
+        ValueError: If ``exploration`` is unknown or a count is below 1.
+    """
+
+    env_name: str
+    episodes: int
+    seed: int
+    batch: int = 250
+    exploration: Exploration = "mean"
+    horizon: int | None = None
+    num_threads: int | None = None
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        if self.exploration not in EXPLORATION:
+            raise ValueError(
+                f"evaluation.exploration must be one of {sorted(EXPLORATION)}, "
+                f"got {self.exploration!r}."
+            )
+        if self.episodes < 1 or self.batch < 1:
+            raise ValueError(
+                f"evaluation.episodes and evaluation.batch must be at least 1, "
+                f"got {self.episodes} and {self.batch}."
+            )
+
+    def run(self, policy: TensorDictModuleBase) -> Rollouts:
+        """Runs all episodes; the random state of the caller is left as it was.
+
+        Other tasks than the door run whole waves of ``batch`` and keep the first ``episodes``.
+        """
+        batch = min(self.batch, self.episodes)
+        env = make_env(
+            self.env_name,
+            num_envs=batch,
+            seed=self.seed,
+            device=self.device,
+            num_threads=self.num_threads,
+            horizon=self.horizon,
+        )
+        was_training = policy.training
+        policy.eval()
+        try:
+            with (
+                torch.random.fork_rng(devices=[]),
+                torch.no_grad(),
+                set_exploration_type(EXPLORATION[self.exploration]),
+            ):
+                torch.manual_seed(self.seed)
+                waves = [
+                    run_wave(env, policy, self._start(first, batch, env), self.episodes - first)
+                    for first in range(0, self.episodes, batch)
+                ]
+        finally:
+            policy.train(was_training)
+            env.close()
+        return Rollouts.join(waves)
+
+    def _start(self, first: int, batch: int, env: EnvBase) -> TensorDict | None:
+        if self.env_name != "door":
+            return None
+        positions = np.stack([door_position(self.seed, first + i, 0) for i in range(batch)])
+        return TensorDict(
+            {"door_position": torch.as_tensor(positions, device=env.device)}, env.batch_size
+        )
+
+
+def run_wave(
+    env: EnvBase,
+    policy: TensorDictModuleBase,
+    start: TensorDictBase | None,
+    limit: int | None = None,
+) -> Rollouts:
+    """One episode in each copy of ``env`` [N]; the first ``limit`` of them are returned.
+
+    Copies that are done are left alone (``_step`` mask) until the last one has finished.
+    """
+    td = env.reset(start)
+    n = env.batch_size[0]
+    active = torch.ones(n, 1, dtype=torch.bool, device=td.device)
+    returns = torch.zeros(n, 1, dtype=torch.float64, device=td.device)
+    lengths = torch.zeros(n, 1, dtype=torch.int64, device=td.device)
+    angles: list[torch.Tensor] = []
+    while active.any():
+        td = env.step(policy(td))
+        after = td["next"]
+        returns += after["reward"].double() * active
+        lengths += active
+        if "hinge_angle" in after.keys():  # noqa: SIM118 - a TensorDict is not a mapping
+            angles.append(after["hinge_angle"].masked_fill(~active, torch.nan))
+        active = active & ~after["done"]
+        td = env.step_mdp(td)
+        td["_step"] = active.squeeze(-1)
+    kept = slice(0, limit)
+    return Rollouts(
+        returns=returns.squeeze(-1).cpu().numpy()[kept],
+        lengths=lengths.squeeze(-1).cpu().numpy()[kept],
+        hinge_angle=torch.cat(angles, dim=-1).cpu().numpy()[kept] if angles else None,
+    )
+
+
+def as_scalars(metrics: DoorMetrics | ReturnMetrics) -> dict[str, Any]:
+    """Plain values for JSON; intervals become two-element lists."""
+    return {
+        key: list(value) if isinstance(value, tuple) else value
+        for key, value in asdict(metrics).items()
+    }

@@ -1,0 +1,74 @@
+"""Statistics of training episodes, and the harvest of good ones (SID)."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from tensordict import TensorDictBase
+from torchrl.trainers import Trainer, TrainerHookBase
+
+from pipeline.episodes import EpisodeAssembler, FinishedEpisode
+
+WINDOW = 20  # episodes in the running averages
+SUCCESS_ANGLE = 1.35  # rad, the paper's last threshold
+
+
+class EpisodeHook(TrainerHookBase):
+    """Follows the training episodes: logs their return and success and offers each to a consumer.
+
+    Args:
+        on_episode: Called with every finished episode and the number of collected frames; SID's
+            harvest goes here.
+    """
+
+    def __init__(self, on_episode: Callable[[FinishedEpisode, int], None] | None = None) -> None:
+        self.assembler = EpisodeAssembler()
+        self.on_episode = on_episode
+        self.returns: deque[float] = deque(maxlen=WINDOW)
+        self.successes: deque[float] = deque(maxlen=WINDOW)
+        self._trainer: Trainer | None = None
+
+    def __call__(self, batch: TensorDictBase) -> TensorDictBase:
+        """Takes ``batch`` [N, T] and hands it on unchanged."""
+        frames = 0 if self._trainer is None else self._trainer.collected_frames + batch.numel()
+        for episode in self.assembler(batch):
+            self.returns.append(episode.episode_return)
+            if not math.isnan(episode.max_angle):
+                self.successes.append(float(episode.max_angle > SUCCESS_ANGLE))
+            if self.on_episode is not None:
+                self.on_episode(episode, frames)
+        return batch
+
+    def log(self, _batch: TensorDictBase) -> dict[str, Any] | None:
+        """Running averages for the logger and the progress bar."""
+        if not self.returns:
+            return None
+        scalars: dict[str, Any] = {"train_return": float(np.mean(self.returns)), "log_pbar": True}
+        if self.successes:
+            scalars["train_success"] = float(np.mean(self.successes))
+        return scalars
+
+    def register(self, trainer: Trainer, name: str = "episodes") -> None:
+        """Registers at ``batch_process`` and ``pre_steps_log``."""
+        self._trainer = trainer
+        trainer.register_module(name, self)
+        trainer.register_op("batch_process", self)
+        trainer.register_op("pre_steps_log", self.log)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Unfinished episodes and the running windows."""
+        return {
+            "assembler": self.assembler.state_dict(),
+            "returns": list(self.returns),
+            "successes": list(self.successes),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self.assembler.load_state_dict(state["assembler"])
+        self.returns = deque(state["returns"], maxlen=WINDOW)
+        self.successes = deque(state["successes"], maxlen=WINDOW)

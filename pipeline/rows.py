@@ -1,0 +1,51 @@
+"""One way to turn trajectories into replay rows, for experience and demonstrations alike."""
+
+from __future__ import annotations
+
+from tensordict import TensorDictBase
+from torchrl.data.postprocs import MultiStep
+
+ROW_KEYS = (
+    "observation",
+    "action",
+    "steps_to_next_obs",
+    ("next", "observation"),
+    ("next", "reward"),
+    ("next", "terminated"),
+)
+"""What a row holds; every buffer has exactly these entries, so batches of several can be joined."""
+
+
+class TransitionRows:
+    """Cuts trajectories ``[..., T]`` into flat n-step transitions ``[rows]``.
+
+    A row at time t holds ``sum_k gamma**k r_{t+k}`` over at most ``n_step`` rewards, the observation
+    after the last of them and the number of steps in between (``steps_to_next_obs``).  Rows near
+    the end of an episode, or of the portion handed over, look fewer steps ahead.
+
+    Args:
+        gamma: Discount per control step.
+        n_step: 1 gives ordinary transitions.
+        reward_scale: Factor on every reward.
+
+    Raises:
+        ValueError: If ``n_step`` is below 1 or ``gamma`` outside (0, 1].
+    """
+
+    def __init__(self, gamma: float, n_step: int = 1, reward_scale: float = 1.0) -> None:
+        self.multi_step = MultiStep(gamma=gamma, n_steps=n_step)
+        # MultiStep leaves every done key at t + 1 while it moves the next observation to t + n.  The
+        # bootstrap needs `terminated` of the observation it bootstraps from; only the keys that mark
+        # where to cut may stay.
+        self.multi_step.done_keys = ("done", "truncated")
+        self.reward_scale = reward_scale
+
+    def __call__(self, trajectories: TensorDictBase) -> TensorDictBase:
+        """Converts ``[T]`` or ``[N, T]`` trajectories; the input is left as it was."""
+        batched = trajectories if trajectories.ndim > 1 else trajectories.unsqueeze(0)
+        rows = self.multi_step(batched.copy())
+        rows = rows.select(*ROW_KEYS).flatten()
+        rows["steps_to_next_obs"] = rows["steps_to_next_obs"].unsqueeze(-1)
+        if self.reward_scale != 1.0:
+            rows["next", "reward"] = rows["next", "reward"] * self.reward_scale
+        return rows

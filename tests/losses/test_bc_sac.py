@@ -1,0 +1,425 @@
+"""BCSACLoss: which rows and which network each term belongs to, its options and its state."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections import Counter
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import nn
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from losses import BCSACLoss, CriticEnsemble, ExponentialWeight
+from tests.losses.toys import (
+    ACTION_SIZE,
+    ConstantCritics,
+    Critic,
+    gradients,
+    make_actor,
+    make_batch,
+    make_loss,
+)
+
+
+def moves(loss: torch.Tensor, module: nn.Module) -> bool:
+    return any(bool(gradient.any()) for gradient in gradients(loss, module))
+
+
+# ------------------------------------------------------------- each term reaches its own network
+
+MATRIX = {
+    "loss_qvalue": {"critic"},
+    "loss_actor": {"actor"},
+    "loss_bc": {"actor"},
+    "loss_alpha": {"temperature"},
+}
+
+
+@pytest.mark.parametrize(("name", "reached"), MATRIX.items())
+def test_gradient_independence(name: str, reached: set[str]) -> None:
+    loss = make_loss()
+    term = loss(make_batch(12, demo_rows=4))[name]
+    temperature = nn.ParameterList([loss.log_alpha])
+    networks = {"actor": loss.actor, "critic": loss.critic, "temperature": temperature}
+    assert {network for network, module in networks.items() if moves(term, module)} == reached
+    assert all(not p.requires_grad for p in loss.target_critic.parameters())
+
+
+def test_the_critic_learns_again_after_the_actor_s_turn() -> None:
+    """Holding the critic out of the actor's graph must not outlive the call."""
+    loss = make_loss()
+    loss.actor_terms(make_batch(4, demo_rows=0))
+    assert all(p.requires_grad for p in loss.critic.parameters())
+
+
+def test_every_diagnostic_is_detached_and_every_key_is_announced() -> None:
+    loss = make_loss()
+    terms = loss(make_batch(12, demo_rows=4))
+    assert list(terms.keys()) == loss.out_keys
+    for name, value in terms.items():
+        assert value.shape == ()
+        assert value.requires_grad == name.startswith("loss_"), name
+
+
+# ------------------------------------------------------------------------------- rows and means
+
+
+def test_the_imitation_term_is_the_mean_over_the_demonstrations_alone() -> None:
+    loss = make_loss()
+    batch = make_batch(12, demo_rows=4)
+    alone = loss.bc_loss(batch[-4:])
+    torch.testing.assert_close(loss.bc_loss(batch), alone)
+    torch.testing.assert_close(loss.actor_terms(batch).bc, alone)
+    one_by_one = torch.stack([loss.bc_loss(batch[row : row + 1]) for row in range(8, 12)])
+    torch.testing.assert_close(one_by_one.mean(), alone)
+
+
+@given(order=st.permutations(range(8)))
+def test_the_imitation_term_does_not_care_where_its_rows_are(order: list[int]) -> None:
+    loss = make_loss()
+    batch = make_batch(8, demo_rows=3)
+    torch.testing.assert_close(loss.bc_loss(batch[order]), loss.bc_loss(batch))
+
+
+@pytest.mark.parametrize("rl_on_demos", [False, True])
+def test_reinforcement_uses_demonstrations_only_when_told(rl_on_demos: bool) -> None:
+    loss = make_loss(rl_on_demos=rl_on_demos)
+    batch = make_batch(12, demo_rows=4)
+    spoiled = batch.clone()
+    spoiled["next", "reward"][-4:] = math.nan
+    assert loss.qvalue_loss(spoiled).isnan().item() == rl_on_demos
+    terms = loss.actor_terms(batch)
+    assert terms.log_prob.shape == (12 if rl_on_demos else 8,)
+    assert terms.q.shape == (*terms.log_prob.shape, 1)
+    assert loss.critic_terms(batch).q.shape == (2, *terms.q.shape)
+
+
+def test_the_actor_s_critics_see_the_states_of_their_own_actions() -> None:
+    """Selecting rows from states, actions and densities must keep them aligned.
+
+    With a policy that has next to no noise, the mixed batch must give what its part gives.
+    """
+    loss = make_loss()
+    with torch.no_grad():
+        loss.actor[0].module[2].bias[ACTION_SIZE:] = -50.0
+    batch = make_batch(12, demo_rows=4)[torch.randperm(12)]
+    rest = batch[~batch["is_demo"].squeeze(-1)]
+    torch.testing.assert_close(
+        loss.actor_terms(batch).q, loss.actor_terms(rest).q, atol=0.05, rtol=0
+    )
+    assert loss.actor_terms(rest).q.std() > 0.05
+
+
+def test_a_batch_of_demonstrations_can_be_imitated_and_with_rl_on_demos_reinforced() -> None:
+    batch = make_batch(6, demo_rows=6)
+    loss = make_loss(rl_on_demos=True)
+    terms = loss(batch)
+    assert moves(terms["loss_bc"], loss.actor)
+    assert moves(terms["loss_actor"], loss.actor)
+    alone = make_loss(rl_on_demos=False)
+    assert moves(alone.bc_loss(batch), alone.actor)
+
+
+@pytest.mark.parametrize("term", ["critic_terms", "actor_terms", "actor_loss", "alpha_loss"])
+def test_reinforcement_without_a_row_for_it_is_an_error_with_its_remedy(term: str) -> None:
+    with pytest.raises(ValueError, match="set rl_on_demos=True, or call bc_loss"):
+        getattr(make_loss(), term)(make_batch(6, demo_rows=6))
+
+
+def test_no_demonstrations_make_an_imitation_term_of_zero() -> None:
+    loss = make_loss()
+    none_marked = loss.actor_terms(make_batch(6, demo_rows=0)).bc
+    assert none_marked.item() == 0.0
+    assert not moves(none_marked, loss.actor)
+    no_marks = loss.actor_terms(make_batch(6, demo_rows=None)).bc
+    assert no_marks.item() == 0.0
+    assert not no_marks.requires_grad
+
+
+@pytest.mark.parametrize("edge", [1.0, -1.3])
+def test_actions_at_and_beyond_the_edge_give_finite_gradients(edge: float) -> None:
+    loss = make_loss()
+    batch = make_batch(6, demo_rows=6)
+    batch["action"].fill_(edge)
+    at_the_edge = loss.bc_loss(batch)
+    batch["action"].fill_(math.copysign(1.0 - loss.action_margin, edge))
+    torch.testing.assert_close(at_the_edge, loss.bc_loss(batch))
+    assert all(g.isfinite().all() for g in gradients(at_the_edge, loss.actor))
+
+
+# ------------------------------------------------------------------- one forward, no host waits
+
+
+def test_both_halves_of_the_actor_share_one_forward_pass_and_equal_the_separate_calls() -> None:
+    loss = make_loss(rl_on_demos=True)
+    batch = make_batch(12, demo_rows=4)
+    calls: Counter[str] = Counter()
+    loss.actor[0].module.register_forward_hook(lambda *_: calls.update(["trunk"]))
+    torch.manual_seed(3)
+    terms = loss.actor_terms(batch)
+    assert calls["trunk"] == 1
+    torch.manual_seed(3)
+    rl, bc = loss.actor_loss(batch), loss.bc_loss(batch)
+    assert calls["trunk"] == 3
+    for together, apart in ((terms.rl, rl), (terms.bc, bc)):
+        torch.testing.assert_close(together, apart)
+        for one, other in zip(
+            gradients(together, loss.actor), gradients(apart, loss.actor), strict=True
+        ):
+            torch.testing.assert_close(one, other)
+
+
+class CountWaits(TorchDispatchMode):
+    """Counts the operations whose result an accelerator's host must wait for."""
+
+    WAITS = ("aten::_local_scalar_dense", "aten::nonzero", "aten::is_nonzero")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        self.count += func.name() in self.WAITS
+        return func(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize(("rl_on_demos", "per_update"), [(True, 0), (False, 2)])
+def test_an_update_waits_for_the_device_no_more_than_its_policies_do(
+    rl_on_demos: bool, per_update: int
+) -> None:
+    """TanhNormal's constructor waits; beyond it, only the choice of rows may (once a network)."""
+    loss = make_loss(rl_on_demos=rl_on_demos)
+    batch = make_batch(12, demo_rows=4)
+    with CountWaits() as for_one_policy:
+        loss.actor.get_dist(batch.select("observation"))
+    with CountWaits() as for_an_update:
+        loss.critic_terms(batch)
+        loss.alpha_loss(loss.actor_terms(batch).log_prob)
+        loss.update_target()
+        loss.advance()
+    assert for_an_update.count == 2 * for_one_policy.count + per_update
+
+
+# --------------------------------------------------------------------------------------- options
+
+
+def test_the_weight_follows_its_schedule_and_scales_nothing_else() -> None:
+    loss = make_loss(bc_weight=ExponentialWeight(4.0, 0.5))
+    batch = make_batch(6, demo_rows=5)
+    for expected in (4.0, 2.0, 1.0):
+        terms = loss(batch)
+        assert terms["bc_weight"].item() == loss.current_bc_weight == expected
+        torch.testing.assert_close(terms["loss_bc"], expected * loss.bc_loss(batch))
+        torch.testing.assert_close(terms["bc_nll"], loss.bc_loss(batch))
+        loss.advance()
+
+
+def test_a_number_is_a_constant_weight() -> None:
+    loss = make_loss(bc_weight=10)
+    loss.advance()
+    assert loss.current_bc_weight == 10.0
+
+
+def test_steps_discount_the_future_by_their_number() -> None:
+    """gamma over two steps is gamma squared over one."""
+    batch = make_batch(12, demo_rows=None)
+    loss = make_loss(gamma=0.9)
+    two_steps = batch.clone().set("steps_to_next_obs", torch.full((12, 1), 2))
+    torch.manual_seed(1)
+    in_two_steps = loss.critic_terms(two_steps).target
+    loss.gamma = 0.81
+    torch.manual_seed(1)
+    torch.testing.assert_close(in_two_steps, loss.critic_terms(batch).target)
+
+
+def test_only_a_termination_ends_the_return() -> None:
+    loss = make_loss()
+    batch = make_batch(12, demo_rows=None)
+    reward, target = batch["next", "reward"], loss.critic_terms(batch).target
+    terminated = batch["next", "terminated"]
+    assert (batch["next", "done"] & ~terminated).any()  # truncations: they bootstrap
+    assert torch.equal(target == reward, terminated)
+
+
+def test_the_target_can_do_without_entropy() -> None:
+    targets = []
+    for temperature in (0.1, 10.0):
+        torch.manual_seed(0)
+        loss = make_loss(entropy_in_target=False, init_temperature=temperature)
+        targets.append(loss.critic_terms(make_batch(12, demo_rows=None)).target)
+    assert torch.equal(*targets)
+
+
+@pytest.mark.parametrize(("subset", "values"), [(None, {1.0}), (1, {1.0, 2.0, 6.0}), (3, {1.0})])
+def test_the_target_takes_the_minimum_over_a_random_subset(
+    subset: int | None, values: set[float]
+) -> None:
+    critic = ConstantCritics(2.0, 1.0, 6.0)
+    loss = BCSACLoss(make_actor(), critic, target_subset=subset, gamma=1.0, entropy_in_target=False)
+    batch = make_batch(4, demo_rows=None)
+    batch["next", "reward"].zero_()
+    batch["next", "terminated"].zero_()
+    seen = {loss.critic_terms(batch).target[0].item() for _ in range(60)}
+    assert seen == values
+
+
+@pytest.mark.parametrize(("actor_value", "expected"), [("min", 1.0), ("mean", 3.0)])
+def test_what_the_actor_maximises_of_the_ensemble(actor_value: str, expected: float) -> None:
+    loss = BCSACLoss(make_actor(), ConstantCritics(2.0, 1.0, 6.0), actor_value=actor_value)
+    torch.testing.assert_close(
+        loss.actor_terms(make_batch(4, demo_rows=None)).q, torch.full((4, 1), expected)
+    )
+
+
+def test_the_temperature_may_be_fixed_and_starts_where_told() -> None:
+    loss = make_loss(init_temperature=0.2, learn_temperature=False)
+    assert loss.alpha.item() == pytest.approx(0.2)
+    assert not loss.alpha_loss(make_batch(4, demo_rows=None)).requires_grad
+
+
+def test_the_temperature_s_loss_takes_a_batch_or_log_densities() -> None:
+    loss = make_loss(target_entropy=-7.0, init_temperature=math.exp(-2.0))
+    by_hand = loss.alpha_loss(torch.tensor([8.0, 10.0]))  # -(-2) * (9 - 7)
+    assert by_hand.item() == pytest.approx(4.0)
+    batch = make_batch(12, demo_rows=4)
+    torch.manual_seed(1)
+    from_batch = loss.alpha_loss(batch)
+    torch.manual_seed(1)
+    log_prob = loss.actor_terms(batch[:8]).log_prob
+    torch.testing.assert_close(from_batch, loss.alpha_loss(log_prob))
+
+
+def test_auto_target_entropy_is_minus_the_action_s_size() -> None:
+    assert make_loss().target_entropy == -ACTION_SIZE
+
+
+def test_critics_may_be_a_list_or_one_module() -> None:
+    actor, critics = make_actor(), [Critic(), Critic(), Critic()]
+    batch = make_batch(6, demo_rows=None)
+    as_list = BCSACLoss(actor, critics).critic_terms(batch)
+    as_module = BCSACLoss(actor, CriticEnsemble(critics)).critic_terms(batch)
+    assert torch.equal(as_list.q, as_module.q)
+    assert as_list.q.shape == (3, 6, 1)
+    for row, critic in zip(as_list.q, critics, strict=True):
+        assert torch.equal(row, critic(batch["observation"], batch["action"]))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"gamma": 1.1}, r"gamma must be in \[0, 1\], got 1.1"),
+        ({"tau": -0.1}, "tau must be in"),
+        ({"init_temperature": 0.0}, "init_temperature must be > 0"),
+        ({"action_margin": 0.0}, "action_margin must be in"),
+        ({"imitation": "l2"}, "imitation must be nll or mse, got 'l2'"),
+        ({"actor_value": "max"}, "actor_value must be min or mean"),
+        ({"bc_weight": -1.0}, "weight and must be finite and >= 0"),
+    ],
+)
+def test_a_bad_argument_is_named(options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_loss(**options)
+
+
+def test_auto_target_entropy_without_a_spec_names_the_remedy() -> None:
+    with pytest.raises(ValueError, match="build the actor with spec="):
+        BCSACLoss(make_actor(with_spec=False), [Critic()])
+    assert (
+        BCSACLoss(make_actor(with_spec=False), [Critic()], target_entropy=-1).target_entropy == -1
+    )
+
+
+def test_an_empty_ensemble_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least one critic"):
+        BCSACLoss(make_actor(), [])
+
+
+def test_a_missing_key_is_named() -> None:
+    with pytest.raises(KeyError, match="terminated"):
+        make_loss().qvalue_loss(make_batch(4, demo_rows=None).exclude(("next", "terminated")))
+
+
+# ------------------------------------------------------------------------------- keys and state
+
+
+def test_the_batch_is_left_as_it_was() -> None:
+    batch = make_batch(12, demo_rows=4).set("steps_to_next_obs", torch.ones(12, 1))
+    before, keys = batch.clone(), set(batch.keys(True, True))
+    make_loss()(batch)
+    assert set(batch.keys(True, True)) == keys
+    assert (batch == before).all()
+
+
+def test_in_keys_are_sufficient() -> None:
+    loss = make_loss()
+    loss(make_batch(4, demo_rows=None).select(*loss.in_keys))
+
+
+def test_every_key_can_be_renamed() -> None:
+    plain, renamed = make_loss(), make_loss()
+    renamed.load_state_dict(plain.state_dict())
+    batch = make_batch(12, demo_rows=4).set("steps_to_next_obs", torch.full((12, 1), 3))
+    names = {
+        "observation": "state",
+        "action": "command",
+        "reward": "score",
+        "terminated": "dead",
+        "is_demo": ("source", "human"),
+        "steps_to_next_obs": "n",
+    }
+    other = batch.clone()
+    for key, name in names.items():
+        renamed.set_keys(**{key: name})
+        for parent in (other, other["next"]):
+            if key in parent.keys():  # noqa: SIM118 - iterating a tensordict goes over its rows
+                parent.rename_key_(key, name)
+    torch.manual_seed(1)
+    expected = plain(batch)
+    torch.manual_seed(1)
+    assert (renamed(other) == expected).all()
+    assert set(renamed.in_keys) <= set(other.keys(True, True))
+
+
+def test_the_target_averages_from_the_first_update_on_and_copies_statistics() -> None:
+    critic = ConstantCritics(0.0, 4.0)
+    critic.register_buffer("seen", torch.tensor(0.0))
+    loss = BCSACLoss(make_actor(), critic, tau=0.25)
+    with torch.no_grad():
+        critic.values += 8.0
+        critic.seen += 1.0
+    loss.update_target()
+    assert torch.equal(loss.target_critic.values, torch.tensor([2.0, 6.0]))
+    loss.update_target()
+    assert torch.equal(loss.target_critic.values, torch.tensor([3.5, 7.5]))
+    assert torch.equal(critic.values, torch.tensor([8.0, 12.0]))
+    assert loss.target_critic.seen.item() == 1.0
+
+
+def test_the_policy_that_learns_is_the_one_that_was_passed_in() -> None:
+    actor, critic = make_actor(), ConstantCritics(1.0)
+    loss = BCSACLoss(actor, critic)
+    assert loss.actor is actor
+    assert loss.critic is critic
+    assert not set(loss.target_critic.parameters()) & set(critic.parameters())
+
+
+def test_state_survives_a_file_and_keeps_the_parameters_identity() -> None:
+    source, target = make_loss(bc_weight=ExponentialWeight(1.0, 0.5)), make_loss()
+    for _ in range(3):
+        source.advance()
+    with torch.no_grad():
+        source.log_alpha += 1.0
+        next(source.target_critic.parameters()).add_(1.0)
+    file = io.BytesIO()
+    torch.save(source.state_dict(), file)
+    file.seek(0)
+    identities = [id(p) for p in target.parameters()]
+    target.load_state_dict(torch.load(file, weights_only=True))
+    assert [id(p) for p in target.parameters()] == identities
+    assert target.updates == 3
+    for name, value in source.state_dict().items():
+        assert torch.equal(value, target.state_dict()[name]), name
