@@ -39,7 +39,6 @@ require = $(foreach goal,$(filter $(1),$(MAKECMDGOALS)),$(if $($(2)),,$(error \
 	make $(goal) needs $(2)=..., for example: make $(goal) $(2)=$(3))))
 $(call require,eval record video,RUN,runs/my_run)
 $(call require,table,RUNS,"runs/one runs/two")
-$(call require,demos-check,DEMOS,bundled)
 
 ##@ Use
 
@@ -65,8 +64,8 @@ table: $(STAMP) ## RUNS="dir dir ..." beside the paper's Tables I and II [OUT=fi
 	@$(RUN_PYTHON) -m pipeline.cli table $(RUNS) $(OUT_ARGS) $(ARGS)
 
 .PHONY: demos-check
-demos-check: $(STAMP) ## validate and re-simulate DEMOS=bundled|path|minari:ID, one line per demonstration
-	@$(RUN_PYTHON) -m pipeline.cli demos-check "$(DEMOS)" $(ARGS)
+demos-check: $(STAMP) ## validate and re-simulate demonstrations, one line each [DEMOS=bundled|path|minari:ID]
+	@$(RUN_PYTHON) -m pipeline.cli demos-check $(if $(DEMOS),"$(DEMOS)") $(ARGS)
 
 .PHONY: record
 record: $(STAMP) ## write successful episodes of RUN=dir as a demonstration file [EPISODES=n] [OUT=file]

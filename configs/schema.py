@@ -120,11 +120,10 @@ class OptimConfig:
 
 @dataclass
 class SamplerConfig:
-    """Exact row counts of one batch, as multiples of batch_size."""
+    """Exact row counts of one batch."""
 
-    batch_size: int = 1024
-    main_share: float = 1.0  # rows of the replay buffer
-    demo_share: float = 0.0  # rows of the demonstration distribution D (is_demo = True)
+    batch_size: int = 1024  # rows from the replay buffer
+    demo_ratio: float = 0.0  # rows from the demonstration distribution D per row of batch_size
     demo_update_period: int = 0  # f of Algorithm 1: an extra update on D every f updates; 0 = never
 
 

@@ -120,10 +120,10 @@ def _check_single(name: str, single: Callable[[], EnvBase]) -> None:
 def _transforms(env: EnvBase, horizon: int | None) -> list[Transform]:
     keys = list(env.observation_spec.keys(include_nested=True, leaves_only=True))
     transforms: list[Transform] = [DoubleToFloat()]
-    # One environment dimension comes first; everything after it is flattened away.
-    deep = [key for key in keys if len(env.observation_spec[key].shape) > 2]
-    if deep:
-        transforms.append(FlattenObservation(1, -1, in_keys=deep))
+    for key in keys:
+        rank = len(env.observation_spec[key].shape) - len(env.batch_size)
+        if rank > 1:
+            transforms.append(FlattenObservation(-rank, -1, in_keys=[key]))
     if keys != [OBSERVATION_KEY]:
         transforms.append(CatTensors(in_keys=keys, out_key=OBSERVATION_KEY))
     transforms.append(ActionScaling())

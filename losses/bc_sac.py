@@ -216,13 +216,12 @@ class BCSACLoss(LossModule):
         """
         observation = tensordict[self.tensor_keys.observation]
         policy = self._policy(observation)
-        # Sampling every row is cheap; the critics are not, so they see the rows that count only.
-        drawn = (observation, *policy.rsample_and_log_prob())
+        action, log_prob = policy.rsample_and_log_prob()
         rows = self._reinforcement_rows(tensordict)
         if rows is not None:
-            drawn = tuple(tensor.index_select(0, rows) for tensor in drawn)
-        rl, q = self._reinforcement(*drawn)
-        _, _, log_prob = drawn
+            # Sampling every row is cheap; the critics are not, so they see only rows that count.
+            observation, action, log_prob = observation[rows], action[rows], log_prob[rows]
+        rl, q = self._reinforcement(observation, action, log_prob)
         return ActorTerms(rl, self._imitation(policy, tensordict), log_prob.detach(), q)
 
     def qvalue_loss(self, tensordict: TensorDictBase) -> Tensor:
@@ -232,7 +231,8 @@ class BCSACLoss(LossModule):
     def actor_loss(self, tensordict: TensorDictBase) -> Tensor:
         """Return the reinforcement half ``[]`` of :meth:`actor_terms`; no other row is run."""
         observation = self._reinforcement_batch(tensordict)[self.tensor_keys.observation]
-        rl, _ = self._reinforcement(observation, *self._policy(observation).rsample_and_log_prob())
+        action, log_prob = self._policy(observation).rsample_and_log_prob()
+        rl, _ = self._reinforcement(observation, action, log_prob)
         return rl
 
     def bc_loss(self, tensordict: TensorDictBase) -> Tensor:

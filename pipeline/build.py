@@ -138,8 +138,8 @@ def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) ->
     mixture = Mixture(
         main,
         distribution,
-        main_rows=round(config.sampler.main_share * rows),
-        demo_rows=round(config.sampler.demo_share * rows),
+        main_rows=rows,
+        demo_rows=round(config.sampler.demo_ratio * rows),
         device=device,
     )
     stepper = BCSACStepper(
@@ -248,7 +248,7 @@ def _demonstrations(config: Config) -> Demonstrations | None:
     needed = (
         config.offline
         or config.pretrain
-        or config.sampler.demo_share > 0
+        or config.sampler.demo_ratio > 0
         or config.sampler.demo_update_period > 0
         or config.growth.bc_model
         or config.actor.normalise_observations

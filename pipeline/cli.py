@@ -10,8 +10,10 @@ from typing import Annotated, Any
 import typer
 from tabulate import tabulate
 
-from envs.demonstrations import DemonstrationError
-from pipeline import report
+from envs.demonstrations import DemonstrationError, format_reports, load_demonstrations
+from pipeline.evaluate_run import evaluate_run, load_evaluation
+from pipeline.film import film
+from pipeline.record import record_demonstrations
 from pipeline.run_dir import EVALUATION, RunDirectoryError, write_atomically
 from pipeline.tables import render
 
@@ -28,7 +30,7 @@ def evaluate(
     out: Annotated[Path | None, typer.Option(help="JSON file; default: RUN/evaluation.json")] = None,
 ) -> None:
     """Evaluate the newest checkpoint of RUN: the columns of Tables I and II."""
-    result = report.evaluate_run(run, overrides or [], episodes)
+    result = evaluate_run(run, overrides or [], episodes)
     path = out if out is not None else run / EVALUATION
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, json.dumps(result, indent=2) + "\n")
@@ -42,7 +44,7 @@ def table(
     out: Annotated[Path | None, typer.Option(help="Also write the Markdown here.")] = None,
 ) -> None:
     """Tables I and II of several evaluated runs beside the paper's numbers."""
-    text = render([report.load_evaluation(run) for run in runs])
+    text = render([load_evaluation(run) for run in runs])
     if out is not None:
         write_atomically(out, text + "\n")
     typer.echo(text)
@@ -54,19 +56,25 @@ def demos_check(
     resimulate: Annotated[bool, typer.Option(help="Replay in our simulator.")] = True,
 ) -> None:
     """Validate a demonstration source and tabulate its episodes."""
-    typer.echo(report.demonstrations_table(source, resimulate=resimulate))
+    loaded = load_demonstrations(source, resimulate=resimulate)
+    typer.echo(format_reports(loaded.reports))
 
 
 @app.command("record")
 def record(
     run: RunDir,
-    out: Annotated[Path, typer.Option(help="HDF5 file to write.")],
+    out: Annotated[
+        Path | None, typer.Option(help="HDF5 file; default: RUN/demonstrations.h5")
+    ] = None,
     episodes: Annotated[int, typer.Option(help="Successful episodes to keep.")] = 25,
     attempts: Annotated[int, typer.Option(help="Doors to try at most.")] = 1000,
     seed: Annotated[int, typer.Option(help="Of the list of doors.")] = 0,
 ) -> None:
     """Record a demonstration set from RUN's policy, filtered by success (the paper's ILD)."""
-    typer.echo(report.record_demonstrations(run, out, episodes, attempts, seed))
+    path = out if out is not None else run / "demonstrations.h5"
+    card = record_demonstrations(run, path, episodes=episodes, attempts=attempts, seed=seed)
+    typer.echo(json.dumps(card, indent=2))
+    typer.echo(f"written to {path}")
 
 
 @app.command("video")
@@ -77,7 +85,7 @@ def video(
 ) -> None:
     """Film RUN's policy."""
     path = out if out is not None else run / "video.mp4"
-    report.film(run, path, episodes)
+    film(run, path, episodes)
     typer.echo(f"written to {path}")
 
 

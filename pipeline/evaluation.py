@@ -13,7 +13,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from envs import make_env
+from envs import DoorEnv, make_env
 from envs.door.metrics import DoorMetrics, summarise
 from envs.door.starts import door_position
 
@@ -137,7 +137,9 @@ class Evaluator:
             ):
                 torch.manual_seed(self.seed)
                 waves = [
-                    run_wave(env, policy, self._start(first, batch, env), self.episodes - first)
+                    run_wave(
+                        env, policy, door_starts(env, self.seed, first), self.episodes - first
+                    )
                     for first in range(0, self.episodes, batch)
                 ]
         finally:
@@ -145,13 +147,19 @@ class Evaluator:
             env.close()
         return Rollouts.join(waves)
 
-    def _start(self, first: int, batch: int, env: EnvBase) -> TensorDict | None:
-        if self.env_name != "door":
-            return None
-        positions = np.stack([door_position(self.seed, first + i, 0) for i in range(batch)])
-        return TensorDict(
-            {"door_position": torch.as_tensor(positions, device=env.device)}, env.batch_size
-        )
+
+def door_starts(env: EnvBase, seed: int, first: int) -> TensorDict | None:
+    """What to reset ``env`` with so that its copies hold episodes ``first``, ``first + 1``, ...
+
+    Returns:
+        ``door_position`` [N, 3] (m) for the door; None for tasks whose start cannot be given.
+    """
+    if not isinstance(env, DoorEnv):
+        return None
+    positions = np.stack([door_position(seed, first + i, 0) for i in range(env.num_doors)])
+    return TensorDict(
+        {"door_position": torch.as_tensor(positions, device=env.device)}, env.batch_size
+    )
 
 
 def run_wave(

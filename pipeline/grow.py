@@ -8,9 +8,11 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from envs import make_env
 from pipeline.episodes import EpisodeAssembler, FinishedEpisode
+from pipeline.evaluation import door_starts
 from pipeline.harvest import Harvest
 
-MAX_BATCH = 250
+MAX_BATCH = 250  # episodes at a time
+UNTIL_DONE = 10**6  # steps: more than any task's time limit
 
 
 def rollout_episodes(
@@ -23,29 +25,34 @@ def rollout_episodes(
     num_threads: int | None = None,
     device: str = "cpu",
 ) -> list[FinishedEpisode]:
-    """Runs the policy's mean action for ``episodes`` whole episodes, one per environment copy."""
+    """Runs the policy's mean action for ``episodes`` whole episodes, one per environment copy.
+
+    The doors are those of the list with this ``seed`` (see ``envs.door.starts``); the trajectories
+    carry their ``door_position``.
+    """
     batch = min(episodes, MAX_BATCH)
     finished: list[FinishedEpisode] = []
-    wave = 0
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         while len(finished) < episodes:
             env = make_env(
                 env_name,
                 num_envs=batch,
-                seed=seed + wave,
+                seed=seed + len(finished),
                 device=device,
                 num_threads=num_threads,
                 horizon=horizon,
             )
             steps = env.rollout(
-                10**6, policy, break_when_any_done=False, break_when_all_done=True
+                UNTIL_DONE,
+                policy,
+                auto_reset=False,
+                tensordict=env.reset(door_starts(env, seed, len(finished))),
+                break_when_any_done=False,
+                break_when_all_done=True,
             )
             env.close()
-            wave_episodes: dict[int, FinishedEpisode] = {}
-            for i, row in enumerate(steps):
-                wave_episodes[i] = EpisodeAssembler()(row.unsqueeze(0))[0]
-            finished.extend(wave_episodes.values())
-            wave += 1
+            # Copies that finish early are not stepped on, but keep repeating their last row.
+            finished += [EpisodeAssembler()(copy.unsqueeze(0))[0] for copy in steps]
     return finished[:episodes]
 
 

@@ -42,10 +42,10 @@ class Mixture:
             if rows > 0 and source is None:
                 raise ValueError(
                     f"{rows} {name} rows are asked for but there is no such buffer; "
-                    f"set sampler.{name}_share=0 or give the source."
+                    "give the source or ask for 0 rows (sampler.demo_ratio=0)."
                 )
         if main_rows + demo_rows == 0:
-            raise ValueError("A batch needs rows: sampler.main_share and sampler.demo_share are both 0.")
+            raise ValueError("A batch needs rows, but 0 are asked of every source.")
         self.main = main
         self.demos = demos
         self.main_rows = main_rows

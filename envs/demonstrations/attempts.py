@@ -4,44 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from envs.demonstrations.episode import Episode
 from envs.demonstrations.errors import DemonstrationError
+from envs.demonstrations.multiply_config import MultiplyConfig
 from envs.demonstrations.replay import replay
-from envs.demonstrations.variation import ARM, ArmGuide, correlated_noise, retime
+from envs.demonstrations.variation import (
+    ARM,
+    ArmGuide,
+    correlated_noise,
+    retime,
+    servo_compliance,
+)
 from envs.door import task
 from envs.door.scene import DoorScene
 from envs.door.simulator import DoorSimulator
 
 #: An attempt whose door is still closed so many steps after it should have moved is given up.
-_PATIENCE = 40
-
-
-class AttemptSettings(Protocol):
-    """The part of `MultiplyConfig` that a single attempt depends on."""
-
-    @property
-    def speed_low(self) -> float: ...
-    @property
-    def speed_high(self) -> float: ...
-    @property
-    def position_scale_m(self) -> float: ...
-    @property
-    def guide_arm(self) -> bool: ...
-    @property
-    def noise_scale(self) -> float: ...
-    @property
-    def noise_correlation(self) -> float: ...
-    @property
-    def min_angle(self) -> float: ...
-    @property
-    def horizon(self) -> int: ...
-    @property
-    def seed(self) -> int: ...
+_PATIENCE = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +37,7 @@ class Attempt:
         door_position: [3] in metres.
         door_offset: distance in metres to the source's door.
         speed: relative to the recording.
-        noise_scale: standard deviation of the executed noise.
+        noise_scale: standard deviation of the noise, in half-ranges of the joints.
         clean_actions: [H, 28] in [-1, 1], what is recorded.
         executed_actions: [H, 28], clean actions plus noise.
         opens_by: step by which the door should have moved, in 0..H.
@@ -84,11 +67,12 @@ class AttemptFactory:
     """Draws attempts; everything that depends only on the sources is computed once."""
 
     templates: tuple[_Template, ...]
-    settings: AttemptSettings
+    compliance: NDArray[np.float64]
+    settings: MultiplyConfig
 
     @classmethod
     def prepare(
-        cls, episodes: Sequence[Episode], settings: AttemptSettings, scene: DoorScene
+        cls, episodes: Sequence[Episode], settings: MultiplyConfig, scene: DoorScene
     ) -> AttemptFactory:
         """Build the factory.
 
@@ -96,7 +80,8 @@ class AttemptFactory:
             DemonstrationError: an episode has no door position.
         """
         guide = ArmGuide(scene) if settings.guide_arm else None
-        return cls(tuple(_template(episode, guide) for episode in episodes), settings)
+        templates = tuple(_template(episode, guide) for episode in episodes)
+        return cls(templates, servo_compliance(scene), settings)
 
     def draw(self, index: int, weights: NDArray[np.float64]) -> Attempt:
         """Attempt number ``index``, the same for the same index, seed and weights.
@@ -132,13 +117,14 @@ class AttemptFactory:
             speed=speed,
             noise_scale=noise_scale,
             clean_actions=clean,
-            executed_actions=clean + noise,
+            # The arm moves 2.5 times as far as its target: unscaled, it would miss the handle.
+            executed_actions=clean + self.compliance * noise,
             opens_by=opens_by,
         )
 
 
 def play_attempts(
-    simulator: DoorSimulator, attempts: Sequence[Attempt], settings: AttemptSettings
+    simulator: DoorSimulator, attempts: Sequence[Attempt], settings: MultiplyConfig
 ) -> Iterator[tuple[Attempt, NDArray[np.float32] | None]]:
     """Simulate attempts together.
 
@@ -181,7 +167,9 @@ def _template(episode: Episode, guide: ArmGuide | None) -> _Template:
     return _Template(
         actions=episode.actions.astype(np.float64).clip(-1.0, 1.0),
         door_position=episode.door_position,
-        action_per_metre=guide and guide.action_per_metre(episode.observations[:-1]),
+        action_per_metre=(
+            None if guide is None else guide.action_per_metre(episode.observations[:-1])
+        ),
         opening_step=int(moved[0]) if len(moved) else None,
     )
 

@@ -16,7 +16,6 @@ from envs.demonstrations.validation import RawEpisode, build_episode, require_ke
 _EXPECTED = "Expected the DAPG format: a list of dicts with observations, actions and rewards"
 
 
-
 def _encode_latin1(text: str, encoding: str) -> bytes:
     # Python 3 spells the bytes of an array so in protocol 2. The real `_codecs.encode` takes any
     # codec name, decompressors among them; arrays need this one only.
@@ -25,20 +24,20 @@ def _encode_latin1(text: str, encoding: str) -> bytes:
     return text.encode("latin1")
 
 
-# What numpy's array pickles name, by protocol 2-4 and 5, before and after numpy.core was renamed.
+# numpy itself says what rebuilds its arrays, up to pickle protocol 4 and from 5 on. The files name
+# these functions by the module they lived in at the time of writing (numpy.core became _core).
+_RECONSTRUCT = np.empty(0).__reduce__()[0]
+_FROM_BUFFER = np.empty(1).__reduce_ex__(5)[0]
+
 # Anything else a pickle can name it can also call: that is how opening a file runs somebody's code.
 _ALLOWED_GLOBALS: dict[tuple[str, str], Any] = {
     ("numpy", "ndarray"): np.ndarray,
     ("numpy", "dtype"): np.dtype,
     ("_codecs", "encode"): _encode_latin1,
-    **{
-        (f"numpy.{core}.multiarray", "_reconstruct"): np._core.multiarray._reconstruct
-        for core in ("core", "_core")
-    },
-    **{
-        (f"numpy.{core}.numeric", "_frombuffer"): np._core.numeric._frombuffer
-        for core in ("core", "_core")
-    },
+    ("numpy.core.multiarray", "_reconstruct"): _RECONSTRUCT,
+    ("numpy._core.multiarray", "_reconstruct"): _RECONSTRUCT,
+    ("numpy.core.numeric", "_frombuffer"): _FROM_BUFFER,
+    ("numpy._core.numeric", "_frombuffer"): _FROM_BUFFER,
 }
 
 

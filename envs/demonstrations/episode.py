@@ -54,8 +54,8 @@ class Episode:
         terminated: bool [T], true at the last step only, if at all.
         provenance: where the episode came from.
         door_position: float64 [3], position of the door frame in metres, or None if unknown.
-        initial_qpos: float64 [30] generalised positions (rad or m) before the first action, or None.
-        initial_qvel: float64 [30] generalised velocities before the first action, or None.
+        initial_qpos: float64 [30] joint positions (rad, m) before the first action, or None.
+        initial_qvel: float64 [30] joint velocities before the first action, or None.
     """
 
     observations: NDArray[np.float32]

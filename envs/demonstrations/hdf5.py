@@ -122,9 +122,7 @@ def _read_flat(file: h5py.File, source: Hdf5Source) -> list[Episode]:
     return episodes
 
 
-def _row(
-    states: dict[str, NDArray[np.generic]], key: str, row: int
-) -> NDArray[np.generic] | None:
+def _row(states: dict[str, NDArray[np.generic]], key: str, row: int) -> NDArray[np.generic] | None:
     return states[key][row] if key in states else None
 
 

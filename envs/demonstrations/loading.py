@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from envs.demonstrations.episode import Episode, content_hash
-from envs.demonstrations.multiplication import MultiplyConfig, multiply_cached
+from envs.demonstrations.multiplication import multiply_cached
+from envs.demonstrations.multiply_config import MultiplyConfig
 from envs.demonstrations.report import EpisodeReport, report_episode
 from envs.demonstrations.resimulation import resimulate as resimulate_episodes
 from envs.demonstrations.sources import open_source
@@ -51,7 +52,7 @@ def load_demonstrations(
         spec: see `envs.demonstrations.sources.open_source`.
         resimulate: replay the actions in our simulator from the reset pose. Otherwise the recorded
             observations are used with the task's reward.
-        multiply: make many episodes out of few; needs ``resimulate`` only for the report.
+        multiply: make many episodes out of few.
         num_threads: threads of the simulator, default all cores. No effect on the result.
         cache_dir: where multiplied episodes are kept between runs; None makes them every time.
         limit: use the first so many episodes of the source only.
@@ -68,9 +69,7 @@ def load_demonstrations(
         used = resimulate_episodes(recorded, num_threads=num_threads)
     else:
         # The published rewards follow other formulas: one buffer must hold one reward.
-        used = [
-            dataclasses.replace(e, rewards=task.reward(e.observations[1:])) for e in recorded
-        ]
+        used = [dataclasses.replace(e, rewards=task.reward(e.observations[1:])) for e in recorded]
     reports = tuple(report_episode(r, u) for r, u in zip(recorded, used, strict=True))
     if multiply is not None:
         used = multiply_cached(used, multiply, num_threads=num_threads, cache_dir=cache_dir)

@@ -28,8 +28,8 @@ class MinariSource:
     ``door_body_pos``, their first entries are the initial state.
 
     Args:
-        dataset: a dataset id such as ``D4RL/door/human-v2`` (downloaded if it is not on this machine)
-            or the folder of a dataset.
+        dataset: an id such as ``D4RL/door/human-v2`` (downloaded if this machine lacks it), or
+            the folder of a dataset.
     """
 
     def __init__(self, dataset: str | Path) -> None:
@@ -43,27 +43,29 @@ class MinariSource:
             DemonstrationError: minari is not installed, the dataset cannot be found or read, or it
                 does not hold episodes of the door task.
         """
-        episodes = [self._episode(data) for data in self._open().iterate_episodes()]
+        episodes = [self._episode(data) for data in self._read()]
         if not episodes:
             raise DemonstrationError(self.name, "holds no episodes", "Check the dataset id")
         return episodes
 
-    def _open(self) -> Any:
+    def _read(self) -> list[Any]:
         try:
-            import minari
+            import minari  # noqa: PLC0415 - an extra: most users never need it
         except ImportError as error:
             raise DemonstrationError(
                 self.name, "needs the package minari", "pip install 'minari[hdf5]'"
             ) from error
         try:
             if isinstance(self.dataset, Path):
-                return minari.MinariDataset(self.dataset / "data")
-            return minari.load_dataset(self.dataset, download=not _offline())
+                dataset = minari.MinariDataset(self.dataset / "data")
+            else:
+                dataset = minari.load_dataset(self.dataset, download=not _offline())
+            return list(dataset.iterate_episodes())
         # minari raises whatever its storage, the hub client or the network raise.
         except Exception as error:
             raise DemonstrationError(
                 self.name,
-                f"cannot be opened ({type(error).__name__}: {error})",
+                f"cannot be read ({type(error).__name__}: {error})",
                 "Check the id with `minari list remote`, download it once with "
                 f"`minari download {self.dataset}`, or give the folder of a dataset",
             ) from error

@@ -6,8 +6,8 @@ other object poses; DART (Laskey et al., 2017) executes noise but records the cl
 the data holds recoveries.
 
 Deviation: the paper trains on the recorded demonstrations alone (section IV-B). Humans need 144-219
-steps to move the door, of an episode of 200, so a policy that copies them earns little. Off unless a
-`MultiplyConfig` is given to `load_demonstrations`.
+steps to move the door, of an episode of 200, so a policy that copies them earns little. Off unless
+a `MultiplyConfig` is given to `load_demonstrations`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from envs.demonstrations.attempts import Attempt, AttemptFactory, play_attempts
 from envs.demonstrations.episode import Episode, Provenance, content_hash
 from envs.demonstrations.errors import DemonstrationError
+from envs.demonstrations.multiply_config import MultiplyConfig
 from envs.demonstrations.recording import read_recording, write_recording
 from envs.door import task
 from envs.door.simulator import DoorSimulator
@@ -34,65 +35,6 @@ _logger = logging.getLogger(__name__)
 
 #: Part of the cache key. Raise it whenever the same inputs give other episodes.
 CODE_VERSION = 1
-
-
-@dataclass(frozen=True)
-class MultiplyConfig:
-    """How to multiply demonstrations.
-
-    Attributes:
-        target_episodes: stop when so many episodes are kept.
-        max_attempts: give up after so many attempts.
-        speed_low: slowest replay, relative to the recording.
-        speed_high: fastest replay. At twice the human speed nothing succeeds.
-        position_scale_m: a source is chosen with weight exp(-(d / scale)^2), where d is the distance
-            in metres between its door and the new one.
-        guide_arm: shift the palm's path by the offset between the two doors (`ArmGuide`).
-        noise_scale: largest standard deviation of the executed noise; each attempt draws its own
-            uniformly from [0, noise_scale].
-        noise_correlation: of the noise between consecutive steps, in [0, 1).
-        min_angle: keep episodes whose hinge passes this angle (rad) within the horizon.
-        balance: no source gives more than ``balance`` times its even share of the target.
-        horizon: length of every episode in steps.
-        round_size: attempts simulated together. Part of the result: the choice of sources adapts
-            from round to round.
-        seed: of everything random.
-
-    Raises:
-        ValueError: a value is out of its range.
-    """
-
-    target_episodes: int = 350
-    max_attempts: int = 4000
-    speed_low: float = 1.1
-    speed_high: float = 1.6
-    position_scale_m: float = 0.06
-    guide_arm: bool = True
-    noise_scale: float = 0.1
-    noise_correlation: float = 0.9
-    min_angle: float = task.SUCCESS_ANGLE
-    balance: float = 1.5
-    horizon: int = task.HORIZON
-    round_size: int = 128
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        requirements = {
-            "target_episodes": self.target_episodes >= 1,
-            "max_attempts": self.max_attempts >= 1,
-            "speed_low": self.speed_low > 0,
-            "speed_high": self.speed_high >= self.speed_low,
-            "position_scale_m": self.position_scale_m > 0,
-            "noise_scale": self.noise_scale >= 0,
-            "noise_correlation": 0 <= self.noise_correlation < 1,
-            "balance": self.balance >= 1,
-            "horizon": self.horizon >= 1,
-            "round_size": self.round_size >= 1,
-            "seed": self.seed >= 0,
-        }
-        for name, holds in requirements.items():
-            if not holds:
-                raise ValueError(f"MultiplyConfig.{name} = {getattr(self, name)} is out of range")
 
 
 def multiply(
@@ -219,9 +161,7 @@ class _Tally:
         return max(1, min(self.round_size, needed, max_attempts - int(self.tried.sum())))
 
 
-def _episode(
-    source: Episode, attempt: Attempt, observations: NDArray[np.float32]
-) -> Episode:
+def _episode(source: Episode, attempt: Attempt, observations: NDArray[np.float32]) -> Episode:
     origin = source.provenance
     details = {
         "attempt": attempt.index,

@@ -29,9 +29,7 @@ _OPTIONAL = ("door_position", "initial_qpos", "initial_qvel")
 _REMEDY = "Make the recording again (make record), or restore the file"
 
 
-def write_recording(
-    path: str | Path, episodes: Sequence[Episode], card: Mapping[str, Any]
-) -> None:
+def write_recording(path: str | Path, episodes: Sequence[Episode], card: Mapping[str, Any]) -> None:
     """Write episodes and their card; the file appears complete or not at all.
 
     Args:
@@ -123,7 +121,10 @@ def _card(file: h5py.File, path: Path) -> dict[str, Any]:
             f"has format version {file.attrs['format_version']}, this code reads {FORMAT_VERSION}",
             _REMEDY,
         )
-    return json.loads(file.attrs["card"])
+    try:
+        return dict(json.loads(file.attrs["card"]))
+    except (KeyError, ValueError, TypeError) as error:
+        raise DemonstrationError(path, f"has a damaged card ({error})", _REMEDY) from error
 
 
 def _write_episode(group: h5py.Group, episode: Episode) -> None:
@@ -133,8 +134,8 @@ def _write_episode(group: h5py.Group, episode: Episode) -> None:
             # Shuffling puts the slowly changing exponent bytes together: a third smaller.
             chunked = {"compression": "gzip", "compression_opts": 9, "shuffle": True}
             group.create_dataset(key, data=array, **(chunked if array.ndim == 2 else {}))
-    p = episode.provenance
-    group.attrs["provenance"] = json.dumps([p.source, p.episode, p.kind, dict(p.details)])
+    fields = vars(episode.provenance) | {"details": dict(episode.provenance.details)}
+    group.attrs["provenance"] = json.dumps(fields)
 
 
 def _read_episode(group: h5py.Group, where: str) -> Episode:
@@ -147,8 +148,15 @@ def _read_episode(group: h5py.Group, where: str) -> Episode:
         qpos=_optional(group, "initial_qpos", where),
         qvel=_optional(group, "initial_qvel", where),
     )
-    source, episode, kind, details = json.loads(group.attrs["provenance"])
-    return build_episode(raw, Provenance(source, episode, kind, details), where)
+    return build_episode(raw, _provenance(group.attrs["provenance"], where), where)
+
+
+def _provenance(text: str, where: str) -> Provenance:
+    try:
+        return Provenance(**json.loads(text))
+    # Not JSON, not an object, or an object with other keys.
+    except (ValueError, TypeError) as error:
+        raise DemonstrationError(where, f"has a damaged provenance ({error})", _REMEDY) from error
 
 
 def _optional(group: h5py.Group, key: str, where: str) -> np.ndarray | None:

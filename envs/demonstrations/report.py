@@ -1,4 +1,4 @@
-"""One line per demonstration: is this file what it should be, and does our physics agree with it?"""
+"""One line per demonstration: is the file what it should be, and does our physics agree?"""
 
 from __future__ import annotations
 

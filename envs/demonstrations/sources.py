@@ -81,8 +81,8 @@ def open_source(spec: str | Path) -> DemonstrationSource:
     """Find the reader for a source; nothing is read until its `load` is called.
 
     Args:
-        spec: ``bundled``, ``minari:ID``, a ``.pickle``/``.pkl`` or ``.h5``/``.hdf5`` file, the folder
-            of a Minari dataset, or a folder of demonstration files.
+        spec: ``bundled``, ``minari:ID``, a ``.pickle``/``.pkl`` or ``.h5``/``.hdf5`` file, the
+            folder of a Minari dataset, or a folder of demonstration files.
 
     Raises:
         DemonstrationError: no such file or folder, or no reader for its kind.

@@ -76,7 +76,7 @@ def build_episode(raw: RawEpisode, provenance: Provenance, where: str) -> Episod
         steps = int(terminated.argmax()) + 1
     observations = observations[: steps + 1]
     if raw.rewards is None:
-        rewards = task.reward(observations[1:])
+        rewards = task.reward(observations[1:]).astype(np.float64)
     else:
         rewards = _rewards(raw.rewards, len(actions), where)[:steps]
     return Episode(
@@ -138,7 +138,7 @@ def _matrix(
         raise DemonstrationError(
             where,
             f"{name} has shape {list(array.shape)}, expected {expected}",
-            "Only demonstrations of the Adroit door task (38-d or 39-d observations, 28-d actions) fit",
+            "Only demonstrations of the Adroit door (38-d or 39-d observations, 28-d actions) fit",
         )
     return array
 

@@ -17,9 +17,7 @@ ARM = slice(0, 4)
 _DAMPING = 0.01
 
 
-def retime(
-    values: NDArray[np.float64], speed: float, steps: int
-) -> NDArray[np.float64]:
+def retime(values: NDArray[np.float64], speed: float, steps: int) -> NDArray[np.float64]:
     """Play a sequence ``speed`` times as fast, by linear interpolation; then hold its last entry.
 
     The actions are position targets, so a faster sequence of them is a faster movement.
@@ -49,7 +47,7 @@ def correlated_noise(
     Args:
         rng: source of randomness.
         steps: length.
-        scale: standard deviation of each entry, in units of the action.
+        scale: standard deviation of each entry.
         correlation: between consecutive steps, in [0, 1).
     """
     white = rng.standard_normal((steps, task.ACTION_SIZE))
@@ -59,6 +57,15 @@ def correlated_noise(
     for t in range(1, steps):
         noise[t] = correlation * noise[t - 1] + innovation * white[t]
     return scale * noise
+
+
+def servo_compliance(scene: DoorScene) -> NDArray[np.float64]:
+    """Target change per joint change in equilibrium, [28]: 0.4 for the arm, 1 for the hand.
+
+    Force = gain * target - bias * joint, and the arm's gain is 2.5 times its bias.
+    """
+    model = scene.model
+    return -model.actuator_biasprm[:, 1] / model.actuator_gainprm[:, 0]
 
 
 @dataclass(frozen=True)
@@ -88,10 +95,7 @@ class ArmGuide:
         Returns:
             [T, 4, 3]: multiply by a displacement [3] in metres.
         """
-        model = self.scene.model
-        # Joint = gain / bias * target in equilibrium: the arm's servos are not one to one (2.5).
-        stiffness = -model.actuator_biasprm[ARM, 1] / model.actuator_gainprm[ARM, 0]
-        per_radian = stiffness / self.scene.control_half_range[ARM]
+        per_radian = servo_compliance(self.scene)[ARM] / self.scene.control_half_range[ARM]
         jacobian = self._palm_jacobian(observations)
         transposed = jacobian.swapaxes(-1, -2)
         inverse = transposed @ np.linalg.inv(jacobian @ transposed + _DAMPING**2 * np.eye(3))

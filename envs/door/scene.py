@@ -19,7 +19,7 @@ _MODEL_PACKAGE = "gymnasium_robotics"
 _MODEL_FILE = Path("envs", "assets", "adroit_hand", "adroit_door.xml")
 
 # Position-servo stiffness (N m / rad) per actuator group, by the group's first and last actuator.
-# RoboHive and DAPG set these in code after loading; the XML of 1.4 happens to agree, others did not.
+# RoboHive and DAPG set these in code after loading, and so the task does not depend on the file.
 _SERVO_STIFFNESS = {("A_WRJ1", "A_WRJ0"): 10.0, ("A_FFJ3", "A_THJ0"): 1.0}
 
 

@@ -28,9 +28,9 @@ class DoorEnv(EnvBase):
     An episode is *truncated* by the environment itself after `horizon` steps and *terminated* only
     when the hand leaves the door (`envs.door.task.terminated`).
 
-    A tensordict with ``door_position`` [N, 3] (m) given to `reset` places the doors, including
-    those of later automatic resets while the key is carried along; without it positions are drawn
-    per door from `envs.door.starts`. Doors that `_reset` or `_step` leave out stay as they are.
+    A tensordict with ``door_position`` [N, 3] (m) given to `reset` places the doors for that reset;
+    without it, and at automatic resets, positions are drawn per door from `envs.door.starts`.
+    Doors that `_reset` or `_step` leave out stay as they are.
 
     `get_extra_state` / `set_extra_state` (so `state_dict` / `load_state_dict`) hold tensors only
     and continue a run bit for bit.
@@ -171,7 +171,7 @@ class DoorEnv(EnvBase):
             key: torch.from_numpy(np.ascontiguousarray(array.reshape(self.num_doors, -1)))
             for key, array in arrays.items()
         }
-        return TensorDict(tensors, batch_size=self.batch_size).to(self.device)
+        return TensorDict(tensors, batch_size=self.batch_size, device=self.device)
 
     def get_extra_state(self) -> dict[str, torch.Tensor]:
         """All that a bit-exact continuation needs, as CPU tensors (`weights_only=True`-safe)."""

@@ -98,20 +98,34 @@ def test_reinforcement_uses_demonstrations_only_when_told(rl_on_demos: bool) -> 
     assert loss.critic_terms(batch).q.shape == (2, *terms.q.shape)
 
 
-def test_the_actor_s_critics_see_the_states_of_their_own_actions() -> None:
-    """Selecting rows from states, actions and densities must keep them aligned.
-
-    With a policy that has next to no noise, the mixed batch must give what its part gives.
-    """
-    loss = make_loss()
-    with torch.no_grad():
-        loss.actor[0].module[2].bias[ACTION_SIZE:] = -50.0
+@pytest.mark.parametrize("rl_on_demos", [False, True])
+def test_each_half_of_the_actor_s_objective_depends_on_its_own_rows(rl_on_demos: bool) -> None:
+    """Densities, values and imitation errors, all read off the gradient of the states."""
+    loss = make_loss(rl_on_demos=rl_on_demos)
     batch = make_batch(12, demo_rows=4)[torch.randperm(12)]
-    rest = batch[~batch["is_demo"].squeeze(-1)]
-    torch.testing.assert_close(
-        loss.actor_terms(batch).q, loss.actor_terms(rest).q, atol=0.05, rtol=0
+    batch["observation"].requires_grad_()
+    is_demo = batch["is_demo"].squeeze(-1)
+    terms = loss.actor_terms(batch)
+    by_rl, by_bc = (
+        torch.autograd.grad(half, batch["observation"], retain_graph=True)[0].any(-1)
+        for half in (terms.rl, terms.bc)
     )
-    assert loss.actor_terms(rest).q.std() > 0.05
+    assert torch.equal(by_bc, is_demo)
+    assert torch.equal(by_rl, torch.ones_like(is_demo) if rl_on_demos else ~is_demo)
+
+
+def test_leaving_rows_out_keeps_states_actions_and_densities_together() -> None:
+    """With one draw of actions, the chosen rows have the values that they have among all."""
+    loss = make_loss(rl_on_demos=True)
+    batch = make_batch(12, demo_rows=4)[torch.randperm(12)]
+    others = ~batch["is_demo"].squeeze(-1)
+    torch.manual_seed(1)
+    among_all = loss.actor_terms(batch)
+    loss.rl_on_demos = False
+    torch.manual_seed(1)
+    alone = loss.actor_terms(batch)
+    torch.testing.assert_close(alone.q, among_all.q[others])
+    torch.testing.assert_close(alone.log_prob, among_all.log_prob[others])
 
 
 def test_a_batch_of_demonstrations_can_be_imitated_and_with_rl_on_demos_reinforced() -> None:

@@ -1,0 +1,63 @@
+"""``make video``: a trained policy at work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from envs import DoorEnv
+from envs.door.render import DoorRenderer
+from envs.door.starts import door_position
+from pipeline.policy import load_policy
+from pipeline.run_dir import load_config
+
+FRAMES_PER_SECOND = 50  # of the film; the task runs at 100 control steps per second
+STRIDE = 2  # control steps per picture: real time
+
+
+def film(run_dir: Path, out: Path, episodes: int) -> None:
+    """Films the mean action on the first doors of the evaluation list, one after the other.
+
+    Args:
+        run_dir: A door run.
+        out: MP4 file to write.
+        episodes: How many doors.
+
+    Raises:
+        ImportError: If the ``video`` extra is not installed.
+        RenderingUnavailableError: If there is no OpenGL.
+        ValueError: If the task is not the door.
+    """
+    try:
+        import imageio.v2 as imageio  # noqa: PLC0415 - an optional extra
+    except ImportError as error:
+        raise ImportError("Films need the extra: pip install '.[video]'") from error
+    config = load_config(run_dir)
+    if config.env.name != "door":
+        raise ValueError(f"{run_dir}: only door runs can be filmed, this is {config.env.name!r}.")
+    policy, _ = load_policy(config, run_dir)
+    env = DoorEnv(1, horizon=config.env.horizon or 200, device=config.device)
+    renderer = DoorRenderer(env.simulator)
+    try:
+        with (
+            imageio.get_writer(out, fps=FRAMES_PER_SECOND) as writer,
+            torch.no_grad(),
+            set_exploration_type(ExplorationType.DETERMINISTIC),
+        ):
+            for i in range(episodes):
+                position = np.atleast_2d(door_position(config.evaluation.seed, i, 0))
+                start = {"door_position": torch.as_tensor(position, device=env.device)}
+                td = env.reset(TensorDict(start, env.batch_size))
+                step = 0
+                while not td["done"].any():
+                    if step % STRIDE == 0:
+                        writer.append_data(renderer.render(0))
+                    td = env.step_mdp(env.step(policy(td)))
+                    step += 1
+    finally:
+        renderer.close()
+        env.close()

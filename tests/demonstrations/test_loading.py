@@ -1,0 +1,66 @@
+"""From a file to the set that training uses, and the table about it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from envs.demonstrations import (
+    MultiplyConfig,
+    content_hash,
+    format_reports,
+    load_demonstrations,
+)
+from envs.door import task
+from tests.demonstrations.helpers import raw_demo, write_pickle
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return write_pickle(tmp_path / "d.pickle", [raw_demo(0), raw_demo(1, steps=7)])
+
+
+def test_resimulated_by_default(path: Path) -> None:
+    loaded = load_demonstrations(path)
+    assert [e.provenance.kind for e in loaded.episodes] == ["resimulated"] * 2
+    assert loaded.transitions == 11 + 6
+    assert loaded.source == "d.pickle"
+    assert loaded.content_hash == content_hash(loaded.episodes)
+    for report in loaded.reports:
+        assert report.replay_error_max > report.replay_error_median > 0
+        assert report.clipped_entries > 0
+
+
+def test_without_resimulation_the_reward_is_still_the_tasks(path: Path) -> None:
+    loaded = load_demonstrations(path, resimulate=False)
+    for episode in loaded.episodes:
+        np.testing.assert_array_equal(episode.rewards, task.reward(episode.observations[1:]))
+    assert all(math.isnan(report.replay_error_max) for report in loaded.reports)
+    # The file's own rewards are random here; the report is about those.
+    assert all(report.reward_agreement < 0.5 for report in loaded.reports)
+
+
+def test_limit(path: Path) -> None:
+    assert len(load_demonstrations(path, limit=1).episodes) == 1
+    with pytest.raises(ValueError, match="limit must be at least 1"):
+        load_demonstrations(path, limit=0)
+
+
+def test_multiplied(path: Path, tmp_path: Path) -> None:
+    config = MultiplyConfig(target_episodes=5, min_angle=-1.0, horizon=4, round_size=4)
+    loaded = load_demonstrations(path, multiply=config, cache_dir=tmp_path / "cache")
+    assert [e.provenance.kind for e in loaded.episodes] == ["multiplied"] * 5
+    assert len(loaded.reports) == 2
+    assert len(list((tmp_path / "cache").iterdir())) == 1
+
+
+def test_table_has_a_row_per_demonstration(path: Path) -> None:
+    loaded = load_demonstrations(path, resimulate=False)
+    lines = format_reports(loaded.reports).splitlines()
+    assert len(lines) == 2 + 2
+    assert "return at 200" in lines[0]
+    assert "nan" not in lines[2]
+    assert f"{loaded.reports[1].max_angle:.3f}" in lines[3]

@@ -1,0 +1,190 @@
+"""Multiplication: reproducible, balanced, honest about what it kept, and cached."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from envs.demonstrations import (
+    DemonstrationError,
+    Episode,
+    MultiplyConfig,
+    content_hash,
+    multiplication,
+    multiply,
+    resimulate,
+)
+from envs.demonstrations.attempts import AttemptFactory, play_attempts
+from envs.demonstrations.multiplication import cache_key, multiply_cached
+from envs.door import task
+from envs.door.scene import build_scene
+from envs.door.simulator import DoorSimulator
+from tests.demonstrations.helpers import still_episode
+
+# An angle that every closed door passes: the bookkeeping can be tested without a door opener.
+ANY_ANGLE = {"min_angle": -1.0, "horizon": 6, "round_size": 8, "target_episodes": 12}
+
+
+def config(**changes: Any) -> MultiplyConfig:
+    return MultiplyConfig(**(ANY_ANGLE | changes))
+
+
+@pytest.fixture(scope="module")
+def sources() -> list[Episode]:
+    return resimulate([still_episode(i, steps=9) for i in range(3)], num_threads=1)
+
+
+@pytest.fixture(scope="module")
+def kept(sources: list[Episode]) -> list[Episode]:
+    return multiply(sources, config(), num_threads=1)
+
+
+def test_the_number_of_threads_changes_nothing(sources, kept) -> None:
+    assert content_hash(multiply(sources, config(), num_threads=3)) == content_hash(kept)
+
+
+def test_the_seed_changes_everything(sources, kept) -> None:
+    other = multiply(sources, config(seed=1))
+    assert {e.door_position.tobytes() for e in other}.isdisjoint(
+        e.door_position.tobytes() for e in kept
+    )
+
+
+def test_keeps_as_many_as_asked_for_with_provenance(kept) -> None:
+    assert len(kept) == 12
+    attempts = [e.provenance.details["attempt"] for e in kept]
+    assert attempts == sorted(set(attempts))
+    for episode in kept:
+        details = episode.provenance.details
+        assert episode.provenance.kind == "multiplied"
+        assert episode.provenance.source == "synthetic"
+        assert 1.1 <= details["speed"] <= 1.6
+        assert 0 <= details["noise_scale"] <= 0.08
+        assert set(details) == {"attempt", "speed", "noise_scale", "door_offset_m"}
+
+
+def test_doors_come_from_the_reset_distribution(kept) -> None:
+    doors = np.stack([e.door_position for e in kept])
+    assert (doors >= task.DOOR_POSITION_LOW).all()
+    assert (doors <= task.DOOR_POSITION_HIGH).all()
+    for episode, door in zip(kept, doors, strict=True):
+        offset = episode.observations[0, task.HANDLE] - door
+        np.testing.assert_allclose(offset, [0.29, -0.15, -0.025], atol=1e-4)
+
+
+def test_without_noise_the_recorded_actions_are_the_executed_ones(sources) -> None:
+    quiet = multiply(sources, config(noise_scale=0.0))
+    for episode, again in zip(quiet, resimulate(quiet), strict=True):
+        # The actions are stored as float32, hence not bit for bit.
+        np.testing.assert_allclose(again.observations, episode.observations, atol=1e-4)
+        np.testing.assert_array_equal(task.reward(episode.observations[1:]), episode.rewards)
+
+
+def test_noise_is_executed_but_the_clean_action_is_recorded(sources) -> None:
+    factory = AttemptFactory.prepare(sources, config(noise_scale=0.5), build_scene())
+    attempt = factory.draw(0, np.ones(3))
+    noisy = attempt.executed_actions - attempt.clean_actions
+    assert np.abs(noisy).max() > 0.05
+    quiet = AttemptFactory.prepare(sources, config(noise_scale=0.0), build_scene())
+    np.testing.assert_array_equal(attempt.clean_actions, quiet.draw(0, np.ones(3)).clean_actions)
+    with DoorSimulator(1) as simulator:
+        ((_, observations),) = play_attempts(simulator, [attempt], config())
+        simulator.reset(attempt.door_position[None])
+        expected = [simulator.step(a[None])[0] for a in attempt.executed_actions]
+    np.testing.assert_array_equal(observations[1:], np.stack(expected))
+
+
+def test_no_source_gives_more_than_its_share(sources) -> None:
+    # Only one source is near the doors; without the cap it would give nearly everything.
+    near, *others = sources
+    far = [
+        dataclasses.replace(e, door_position=e.door_position + np.array([0, 0.3, 0]))
+        for e in others
+    ]
+    settings = config(balance=1.5, position_scale_m=0.02)
+    kept = multiply([near, *far], settings)
+    counts = collections.Counter(e.provenance.episode for e in kept)
+    assert counts[0] == 6
+    assert sum(counts.values()) == 12
+
+
+def test_failures_are_not_kept(sources) -> None:
+    with pytest.raises(DemonstrationError, match=r"none of 10 attempts passed 1.35 rad"):
+        multiply(sources, config(min_angle=1.35, max_attempts=10))
+
+
+def test_running_out_of_attempts_is_said(sources, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        kept = multiply(sources, config(max_attempts=5))
+    assert len(kept) == 5
+    assert "kept 5 of 12 multiplied episodes in 5 attempts" in caplog.text
+
+
+def test_the_cache_returns_the_same_episodes(
+    sources, kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = multiply_cached(sources, config(), cache_dir=tmp_path)
+    monkeypatch.setattr(multiplication, "multiply", None)
+    second = multiply_cached(sources, config(), cache_dir=tmp_path)
+    assert content_hash(first) == content_hash(second) == content_hash(kept)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_damaged_cache_file_is_replaced(sources, kept, tmp_path: Path) -> None:
+    multiply_cached(sources, config(), cache_dir=tmp_path)
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(b"torn")
+    assert content_hash(multiply_cached(sources, config(), cache_dir=tmp_path)) == content_hash(
+        kept
+    )
+    assert file.stat().st_size > 1000
+
+
+def test_the_cache_key_holds_all_that_matters(sources, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = {cache_key(sources, config()), cache_key(sources[:2], config())}
+    for field in dataclasses.fields(MultiplyConfig):
+        value = getattr(config(), field.name)
+        changed = (not value) if isinstance(value, bool) else value * 1.001 + (value == 0)
+        if isinstance(value, int) and not isinstance(value, bool):
+            changed = value + 1
+        keys.add(cache_key(sources, config(**{field.name: changed})))
+    monkeypatch.setattr(multiplication, "CODE_VERSION", -1)
+    keys.add(cache_key(sources, config()))
+    assert len(keys) == 3 + len(dataclasses.fields(MultiplyConfig))
+
+
+def test_needs_door_positions() -> None:
+    with pytest.raises(DemonstrationError, match="has no door position"):
+        multiply([still_episode(door_position=None)], config())
+
+
+def test_needs_episodes() -> None:
+    with pytest.raises(DemonstrationError, match="got no episodes"):
+        multiply([], config())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("target_episodes", 0),
+        ("max_attempts", 0),
+        ("speed_low", 0.0),
+        ("speed_high", 1.0),
+        ("position_scale_m", 0.0),
+        ("noise_scale", -0.1),
+        ("noise_correlation", 1.0),
+        ("balance", 0.9),
+        ("horizon", 0),
+        ("round_size", 0),
+        ("seed", -1),
+    ],
+)
+def test_settings_are_checked(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{name} = {value}"):
+        MultiplyConfig(**{name: value})

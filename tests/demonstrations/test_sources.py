@@ -1,0 +1,42 @@
+"""One name for every source."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from envs.demonstrations import DemonstrationError, open_source, sources, write_recording
+from tests.demonstrations.helpers import raw_demo, still_episode, write_pickle
+
+
+def test_a_folder_holds_files_of_any_kind(tmp_path: Path) -> None:
+    write_recording(tmp_path / "b.h5", [still_episode(7)], {})
+    write_pickle(tmp_path / "a.pkl", [raw_demo(0), raw_demo(1)])
+    (tmp_path / "notes.txt").write_text("not a demonstration")
+    names = [(e.provenance.source, e.provenance.episode) for e in open_source(tmp_path).load()]
+    assert names == [("a.pkl", 0), ("a.pkl", 1), ("synthetic", 7)]
+
+
+def test_an_empty_folder(tmp_path: Path) -> None:
+    with pytest.raises(DemonstrationError, match="holds no demonstration files"):
+        open_source(tmp_path).load()
+
+
+def test_a_missing_path_lists_the_valid_forms(tmp_path: Path) -> None:
+    with pytest.raises(DemonstrationError, match=r"does not exist.*bundled, minari:ID"):
+        open_source(tmp_path / "absent.pickle")
+
+
+def test_an_unknown_suffix(tmp_path: Path) -> None:
+    (tmp_path / "demos.csv").write_text("1,2")
+    with pytest.raises(DemonstrationError, match=r"unknown suffix '.csv'"):
+        open_source(tmp_path / "demos.csv")
+
+
+def test_bundled_is_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "BUNDLED", tmp_path / "door.h5")
+    write_recording(tmp_path / "door.h5", [still_episode(4)], {})
+    source = open_source("bundled")
+    assert source.name == "bundled"
+    assert [e.provenance.episode for e in source.load()] == [4]
