@@ -32,7 +32,7 @@ class MultiplyConfig:
     enabled: bool = False
     target_episodes: int = 350  # episodes to keep
     seed: int = 0
-    noise_scale: float = 0.1  # largest AR(1) action noise that is executed but not recorded
+    noise_scale: float = 0.08  # largest AR(1) action noise that is executed but not recorded
     speed_low: float = 1.1  # slowest playback speed (1 = as recorded)
     speed_high: float = 1.6
     min_angle: float = 1.35  # rad; an attempt below this hinge angle is dropped
@@ -71,7 +71,7 @@ class CriticConfig:
 
 @dataclass
 class WeightConfig:
-    """Weight of the imitation term as a function of the number n of updates (paper III-C, III-D)."""
+    """Weight of the imitation term as a function of the number n of updates (III-C, III-D)."""
 
     kind: str = "constant"  # constant | exponential | linear | cosine | piecewise
     init: float | None = 0.0  # lambda, or lambda_0; null for piecewise
@@ -100,7 +100,7 @@ class LossConfig:
     action_margin: float = 1e-2  # demonstrated actions are clamped to +-(1 - action_margin)
     tau: float = 0.005
     bc_weight: WeightConfig = field(default_factory=WeightConfig)
-    bc_gradient_ratio: float | None = None  # if set, the weight is bc_weight(n) * ratio * |g_RL| / |g_BC|
+    bc_gradient_ratio: float | None = None  # if set: bc_weight(n) * ratio * |g_RL| / |g_BC|
 
 
 @dataclass
@@ -148,7 +148,7 @@ class GrowthConfig:
 
 @dataclass
 class BehaviourCloningConfig:
-    """Offline behaviour cloning: the `bc` row, the ILD demonstrator and pretraining are one recipe."""
+    """Offline behaviour cloning: one recipe for the `bc` row, the ILD demonstrator, pretraining."""
 
     updates: int = 100_000
     lr: float = 1e-5

@@ -3,10 +3,10 @@
 ::
 
     envs.make_env -> Collector(actor) -> batch [num_envs, T]
-       batch_process        EpisodeHook    cuts the stream into whole episodes -> statistics, self-imitation
+       batch_process        EpisodeHook    cuts the stream into whole episodes: statistics, SID
                             StoreHook      n-step rewards, flatten -> main replay buffer
-       process_optim_batch  Mixture        exact row counts from main and from D = demo + grown -> [B], is_demo
-       optimization_stepper BCSACStepper   critic -> actor (RL and BC gradients) -> temperature -> target
+       process_optim_batch  Mixture        exact row counts from main and D = demo + grown
+       optimization_stepper BCSACStepper   critic -> actor (RL and BC) -> temperature -> target
        post_optim           DemoUpdateHook Algorithm 1 of the paper: an extra update on D
        post_steps_log       EvaluationHook, MetricsHook;  then Trainer saves a checkpoint
 

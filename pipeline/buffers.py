@@ -29,8 +29,8 @@ def make_core_buffer(
     Raises:
         ValueError: If there are no rows.
     """
-    if rows.numel() == 0:
-        raise ValueError("The demonstrations hold no transitions; check demos.source and demos.limit.")
+    if rows.shape[0] == 0:  # numel() of an empty TensorDict is 1
+        raise ValueError("The demonstrations hold no transitions; check demos.source.")
     storage = LazyTensorStorage(rows.shape[0], device=device)
     storage.set(range(rows.shape[0]), rows.to(device))
     return TensorDictReplayBuffer(storage=storage, writer=ImmutableDatasetWriter())
@@ -79,7 +79,8 @@ class GrownDemonstrations:
         """
         if rows.shape[0] > self.capacity:
             raise ValueError(
-                f"An episode of {rows.shape[0]} rows does not fit in growth.capacity={self.capacity}."
+                f"An episode of {rows.shape[0]} rows does not fit in growth.capacity="
+                f"{self.capacity}."
             )
         self.buffer.extend(rows)
         self.records.append(record)

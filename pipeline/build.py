@@ -31,6 +31,7 @@ from pipeline.checkpoint import (
     CollectorState,
     latest_checkpoint,
     load_component,
+    load_trainer,
     make_checkpoint,
     make_rotation,
 )
@@ -85,7 +86,7 @@ def build_run(config: Config, *, resume: bool = False) -> Run:
     build = build_offline if config.offline else build_online
     run = build(config, run_dir, demos)
     if checkpoint is not None:
-        run.trainer.load_from_file(checkpoint)
+        load_trainer(checkpoint, run.trainer)
     return run
 
 
@@ -100,9 +101,7 @@ def build_offline(config: Config, run_dir: Path, demos: Demonstrations | None) -
     loss = components.make_loss(config.loss, actor, critic, env.action_spec.shape[-1])
     env.close()
     core = DemonstrationDistribution(make_core_buffer(demos.rows, config.device))
-    mixture = Mixture(
-        None, core, main_rows=0, demo_rows=config.bc.batch_size, device=config.device
-    )
+    mixture = Mixture(None, core, main_rows=0, demo_rows=config.bc.batch_size, device=config.device)
     collector = OfflineStream(OFFLINE_UPDATES_PER_BATCH)
     trainer = _trainer(
         config,
@@ -231,7 +230,7 @@ def behaviour_cloned(config: Config, demos: Demonstrations | None) -> Probabilis
     else:
         checkpoint = make_rotation(run_dir).latest()
         if checkpoint is not None:
-            run.trainer.load_from_file(checkpoint)
+            load_trainer(checkpoint, run.trainer)
         run.train()
         complete.touch()
     torch.random.set_rng_state(rng)
@@ -323,5 +322,5 @@ def _trainer(config: Config, run_dir: Path, checkpoint: Checkpoint, **parts: obj
         save_trainer_interval=config.logging.checkpoint_interval,
         checkpoint=checkpoint,
         checkpoint_rotation=make_rotation(run_dir),
-        **parts,  # type: ignore[arg-type]  # forwarded as they are
+        **parts,
     )

@@ -7,17 +7,43 @@ episodes, and the random generators.
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from tensordict import TensorDict
 from torch import nn
-from torchrl.checkpoint import Checkpoint, CheckpointError, CheckpointRotation, GlobalRNGState
+from torchrl.checkpoint import (
+    Checkpoint,
+    CheckpointRotation,
+    DumpLoadCheckpointAdapter,
+    GlobalRNGState,
+)
 from torchrl.collectors import BaseCollector
+from torchrl.data import ReplayBuffer
+from torchrl.trainers import Trainer
 
 KEEP_LAST = 1
 DIRECTORY = "checkpoints"
+
+
+PICKLES = ("*.pkl", "*.pickle")
+
+
+class BufferAdapter(DumpLoadCheckpointAdapter):
+    """Replay buffers in TorchRL's own format, less the one file of it that is a pickle.
+
+    That file holds batches sampled ahead, which the buffers here never do.  Reading a pickle runs
+    what it says, and a checkpoint may come from someone else.
+    """
+
+    def save(self, component: ReplayBuffer, path: Path, **options: Any) -> Any:
+        """Dumps ``component`` below ``path``."""
+        saved = super().save(component, path, **options)
+        for pickle in _pickles(path):
+            pickle.unlink()
+        return saved
 
 
 class CollectorState:
@@ -60,7 +86,8 @@ def make_checkpoint(policy: nn.Module, collector_state: Any) -> Checkpoint:
         policy: Saved apart from the loss, so that evaluation loads nothing else.
         collector_state: ``CollectorState``, or a collector whose own ``state_dict`` suffices.
     """
-    return Checkpoint(policy=policy, collector=collector_state, rng=GlobalRNGState())
+    checkpoint = Checkpoint(policy=policy, collector=collector_state, rng=GlobalRNGState())
+    return checkpoint.register_adapter(ReplayBuffer, BufferAdapter())
 
 
 def make_rotation(run_dir: Path) -> CheckpointRotation:
@@ -87,14 +114,38 @@ def load_component(path: Path, name: str, module: nn.Module) -> None:
     """Loads one module of a checkpoint in place.
 
     Raises:
-        ValueError: If the checkpoint is damaged or was written by another architecture.
+        ValueError: If the checkpoint is damaged, holds pickles or is of another architecture.
     """
-    try:
+    with _explained(path, components=f"*-{name}"):
         Checkpoint(**{name: module}).load(path, components=[name], map_location="cpu")
-    except (CheckpointError, OSError, json.JSONDecodeError, RuntimeError) as error:
+
+
+def load_trainer(path: Path, trainer: Trainer) -> None:
+    """Restores a whole run in place.
+
+    Raises:
+        ValueError: If the checkpoint is damaged, holds pickles or is of another architecture.
+    """
+    with _explained(path, components="*"):
+        trainer.load_from_file(path)
+
+
+@contextmanager
+def _explained(path: Path, components: str) -> Iterator[None]:
+    for folder in path.glob(f"components/{components}"):
+        if pickles := _pickles(folder):
+            raise ValueError(
+                f"Checkpoint {path} holds {pickles[0].name}. Checkpoints of this project hold no "
+                "pickles, since reading one can run anything: use the original checkpoint."
+            )
+    try:
+        yield
+    except (OSError, LookupError, TypeError, ValueError, RuntimeError) as error:
         raise ValueError(
-            f"Checkpoint {path}: cannot load {name!r} into this network ({error}). Use the "
+            f"Checkpoint {path} does not fit this configuration or is damaged ({error}). Use the "
             "configuration that the run was made with (config.yaml beside its checkpoints)."
         ) from error
 
 
+def _pickles(folder: Path) -> list[Path]:
+    return [file for pattern in PICKLES for file in sorted(folder.rglob(pattern))]

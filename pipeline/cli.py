@@ -27,7 +27,7 @@ def evaluate(
     run: RunDir,
     overrides: Overrides = None,
     episodes: Annotated[int | None, typer.Option(help="Doors; default: the run's own.")] = None,
-    out: Annotated[Path | None, typer.Option(help="JSON file; default: RUN/evaluation.json")] = None,
+    out: Annotated[Path | None, typer.Option(help="JSON; default: RUN/evaluation.json")] = None,
 ) -> None:
     """Evaluate the newest checkpoint of RUN: the columns of Tables I and II."""
     result = evaluate_run(run, overrides or [], episodes)

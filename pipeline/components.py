@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import torch
+from omegaconf import OmegaConf
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor
@@ -116,7 +118,9 @@ def make_loss(
     loss: LossConfig, actor: ProbabilisticActor, critic: BatchedCritics, action_size: int
 ) -> BCSACLoss:
     """BCSACLoss with the configured terms."""
-    schedule = {key: value for key, value in loss.bc_weight.items() if value is not None}
+    # A dataclass when composed in Python, a DictConfig when composed by Hydra.
+    weight = OmegaConf.to_container(OmegaConf.create(cast(Any, loss.bc_weight)), resolve=True)
+    schedule = {k: v for k, v in cast(dict[str, Any], weight).items() if v is not None}
     return BCSACLoss(
         actor,
         critic,
@@ -125,10 +129,10 @@ def make_loss(
         target_entropy=-float(action_size) if loss.target_entropy is None else loss.target_entropy,
         learn_temperature=loss.learn_temperature,
         bc_weight=make_schedule(**schedule),
-        imitation=loss.imitation,
+        imitation=loss.imitation,  # type: ignore[arg-type]  # OmegaConf has no Literal
         action_margin=loss.action_margin,
         target_subset=loss.target_subset,
-        actor_value=loss.actor_value,
+        actor_value=loss.actor_value,  # type: ignore[arg-type]  # OmegaConf has no Literal
         entropy_in_target=loss.entropy_in_target,
         rl_on_demos=loss.rl_on_demos,
         tau=loss.tau,
@@ -142,7 +146,7 @@ def make_evaluator(config: Config, *, episodes: int) -> Evaluator:
         episodes=episodes,
         seed=config.evaluation.seed,
         batch=config.evaluation.batch,
-        exploration=config.evaluation.exploration,
+        exploration=config.evaluation.exploration,  # type: ignore[arg-type]  # as above
         horizon=config.env.horizon,
         num_threads=config.env.num_threads,
         device=config.device,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import torch
+import tensordict
 from tensordict import TensorDict, TensorDictBase
 
 
@@ -53,7 +53,7 @@ class EpisodeAssembler:
             start = 0
             for end in (row_done.nonzero().squeeze(-1) + 1).tolist():
                 pieces = [*self._open.pop(i, []), batch[i, start:end]]
-                trajectory = torch.cat(pieces) if len(pieces) > 1 else pieces[0]
+                trajectory = tensordict.cat(pieces) if len(pieces) > 1 else pieces[0]
                 finished.append(FinishedEpisode.from_trajectory(trajectory))
                 start = end
             if start < batch.shape[1]:
@@ -62,7 +62,7 @@ class EpisodeAssembler:
 
     def state_dict(self) -> dict[str, Any]:
         """The unfinished episodes."""
-        return {str(i): torch.cat(pieces).to_dict() for i, pieces in self._open.items()}
+        return {str(i): tensordict.cat(pieces).to_dict() for i, pieces in self._open.items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""

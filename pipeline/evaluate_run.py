@@ -20,11 +20,11 @@ def evaluate_run(
 
     Args:
         run_dir: A run directory.
-        overrides: ``key=value`` on top of its configuration, e.g. ``evaluation.exploration=sample``.
+        overrides: ``key=value`` on top of its config, e.g. ``evaluation.exploration=sample``.
         episodes: Number of episodes; None is ``evaluation.episodes`` of the run.
 
     Returns:
-        The metrics (for the door those of Tables I and II) and ``made_from``: what they were made of.
+        The metrics (for the door those of Tables I and II) and ``made_from``: what from.
 
     Raises:
         RunDirectoryError, FileNotFoundError, ValueError: As ``load_config`` and ``load_policy`` do.

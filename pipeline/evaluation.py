@@ -137,9 +137,7 @@ class Evaluator:
             ):
                 torch.manual_seed(self.seed)
                 waves = [
-                    run_wave(
-                        env, policy, door_starts(env, self.seed, first), self.episodes - first
-                    )
+                    run_wave(env, policy, door_starts(env, self.seed, first), self.episodes - first)
                     for first in range(0, self.episodes, batch)
                 ]
         finally:

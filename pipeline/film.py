@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -42,9 +43,10 @@ def film(run_dir: Path, out: Path, episodes: int) -> None:
     policy, _ = load_policy(config, run_dir)
     env = DoorEnv(1, horizon=config.env.horizon or 200, device=config.device)
     renderer = DoorRenderer(env.simulator)
+    open_film: Any = imageio.get_writer  # its annotations lack append_data
     try:
         with (
-            imageio.get_writer(out, fps=FRAMES_PER_SECOND) as writer,
+            open_film(out, fps=FRAMES_PER_SECOND) as writer,
             torch.no_grad(),
             set_exploration_type(ExplorationType.DETERMINISTIC),
         ):

@@ -67,7 +67,8 @@ def admit_rollouts(policy: TensorDictModuleBase, harvest: Harvest, **rollout: ob
     admitted = len(harvest.grown.records)
     if admitted == 0:
         raise ValueError(
-            f"None of {rollout['episodes']} episodes of the BC model passed growth.admission; lower "
-            "its bounds, raise growth.bc_model_episodes or train the BC model longer (bc.updates)."
+            f"None of {rollout['episodes']} episodes of the BC model passed growth.admission; "
+            "lower its bounds, raise growth.bc_model_episodes or train the BC model longer "
+            "(bc.updates)."
         )
     return admitted

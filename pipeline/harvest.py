@@ -32,7 +32,7 @@ class AdmissionRule:
             )
 
     def admits(self, episode: FinishedEpisode) -> bool:
-        """Whether ``episode`` is good.  Where the task has no hinge, an angle bound admits nothing."""
+        """Whether ``episode`` is good.  Without a hinge, an angle bound admits nothing."""
         if self.min_angle is not None and not episode.max_angle > self.min_angle:
             return False
         return self.min_return is None or episode.episode_return >= self.min_return

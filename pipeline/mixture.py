@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tensordict
 import torch
 from tensordict import TensorDictBase
 from torchrl.data import TensorDictReplayBuffer
@@ -12,8 +13,8 @@ from pipeline.buffers import DemonstrationDistribution
 class Mixture:
     """Draws batches with a fixed number of rows from each source and marks D's rows ``is_demo``.
 
-    TorchRL's ``ReplayBufferEnsemble`` picks a *buffer* for each equal sub-batch, so a row split other
-    than 1:1 holds only on average; here it holds in every batch, main rows first.
+    TorchRL's ``ReplayBufferEnsemble`` picks a *buffer* for each equal sub-batch, so a row split
+    other than 1:1 holds only on average; here it holds in every batch, main rows first.
 
     Args:
         main: Replay buffer of collected experience, or None for training on D alone.
@@ -23,8 +24,8 @@ class Mixture:
         device: Where the batch goes.
 
     Raises:
-        ValueError: If a count is negative, no rows are asked for, or rows are asked of a source that
-            is not there.
+        ValueError: If a count is negative, no rows are asked for, or rows are asked of a source
+            that is not there.
     """
 
     def __init__(
@@ -61,8 +62,8 @@ class Mixture:
             parts.append(self.main.sample(self.main_rows))
         if self.demos is not None and self.demo_rows:
             parts.append(self.demos.sample(self.demo_rows))
-        batch = torch.cat(parts) if len(parts) > 1 else parts[0]
-        batch = batch.to(self.device)
+        joined: TensorDictBase = tensordict.cat(parts) if len(parts) > 1 else parts[0]
+        batch = joined.to(self.device)
         batch.set("is_demo", self.is_demo.clone())
         return batch
 

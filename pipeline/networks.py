@@ -7,6 +7,7 @@ and the log standard deviation of 28 actions, and 66 x 1024 x 1024 x 1 for each 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from tensordict.nn import TensorDictModule
@@ -45,7 +46,7 @@ class ObservationNormalizer(nn.Module):
 
 
 class GaussianHead(nn.Module):
-    """Splits ``[..., 2A]`` into the mean ``[..., A]`` and a bounded standard deviation ``[..., A]``.
+    """Splits ``[..., 2A]`` into a mean ``[..., A]`` and a bounded standard deviation ``[..., A]``.
 
     The log standard deviation is squashed by tanh into ``[log_std_min, log_std_max]``, as the
     paper's base implementation (denisyarats/pytorch_sac) does: unlike a clamp it keeps a gradient.
@@ -55,7 +56,8 @@ class GaussianHead(nn.Module):
         super().__init__()
         if log_std_min >= log_std_max:
             raise ValueError(
-                f"actor.log_std_min ({log_std_min}) must be below actor.log_std_max ({log_std_max})."
+                f"actor.log_std_min ({log_std_min}) must be below actor.log_std_max "
+                f"({log_std_max})."
             )
         self.log_std_min = log_std_min
         self.log_std_max = log_std_max
@@ -131,7 +133,7 @@ class BatchedCritics(nn.Module):
         self.normalizer = normalizer if normalizer is not None else nn.Identity()
         sizes = [observation_size + action_size, *hidden]
         layers: list[nn.Module] = []
-        for n_in, n_out in zip(sizes[:-1], sizes[1:], strict=True):
+        for n_in, n_out in pairwise(sizes):
             layers.append(EnsembleLinear(num_critics, n_in, n_out))
             if layer_norm:
                 layers.append(EnsembleLayerNorm(num_critics, n_out))
@@ -182,13 +184,9 @@ def make_actor(
     )
 
 
-
-
 def orthogonal_(module: nn.Module, gain: float = 1.0) -> None:
     """Orthogonal weights and zero biases, as in the paper's base implementation."""
     for layer in module.modules():
         if isinstance(layer, nn.Linear):
             nn.init.orthogonal_(layer.weight, gain=gain)
             nn.init.zeros_(layer.bias)
-
-

@@ -85,9 +85,7 @@ def record_demonstrations(
     return card
 
 
-def _as_episodes(
-    finished: Sequence[FinishedEpisode], run: str, checkpoint: str
-) -> list[Episode]:
+def _as_episodes(finished: Sequence[FinishedEpisode], run: str, checkpoint: str) -> list[Episode]:
     episodes = []
     for i, episode in enumerate(finished):
         steps = episode.trajectory

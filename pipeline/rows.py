@@ -19,9 +19,9 @@ ROW_KEYS = (
 class TransitionRows:
     """Cuts trajectories ``[..., T]`` into flat n-step transitions ``[rows]``.
 
-    A row at time t holds ``sum_k gamma**k r_{t+k}`` over at most ``n_step`` rewards, the observation
-    after the last of them and the number of steps in between (``steps_to_next_obs``).  Rows near
-    the end of an episode, or of the portion handed over, look fewer steps ahead.
+    A row at time t holds ``sum_k gamma**k r_{t+k}`` over at most ``n_step`` rewards, the
+    observation after the last of them and the number of steps in between (``steps_to_next_obs``).
+    Rows near the end of an episode, or of the portion handed over, look fewer steps ahead.
 
     Args:
         gamma: Discount per control step.
@@ -34,9 +34,9 @@ class TransitionRows:
 
     def __init__(self, gamma: float, n_step: int = 1, reward_scale: float = 1.0) -> None:
         self.multi_step = MultiStep(gamma=gamma, n_steps=n_step)
-        # MultiStep leaves every done key at t + 1 while it moves the next observation to t + n.  The
-        # bootstrap needs `terminated` of the observation it bootstraps from; only the keys that mark
-        # where to cut may stay.
+        # MultiStep leaves every done key at t + 1 while it moves the next observation to t + n.
+        # The bootstrap needs `terminated` of the observation it bootstraps from; only the keys that
+        # mark where to cut may stay.
         self.multi_step.done_keys = ("done", "truncated")
         self.reward_scale = reward_scale
 

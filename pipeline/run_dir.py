@@ -71,7 +71,7 @@ def load_config(run_dir: Path, overrides: list[str] | None = None) -> Config:
 
 def versions() -> dict[str, Any]:
     """Packages, interpreter, machine and git revision."""
-    found = {}
+    found: dict[str, str | None] = {}
     for package in PACKAGES:
         try:
             found[package] = importlib.metadata.version(package)

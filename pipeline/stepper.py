@@ -1,4 +1,4 @@
-"""What one optimization step does: the order of the updates and how the two actor gradients meet."""
+"""What one optimization step does: the order of updates and how the actor's gradients meet."""
 
 from __future__ import annotations
 
@@ -52,11 +52,11 @@ class BCSACStepper(OptimizationStepper):
 
     The actor's two gradients, of the RL objective and of the imitation term, are added with the
     weight ``lambda(n)`` of the loss (paper III-C, III-D).  With ``bc_gradient_ratio`` the weight is
-    ``lambda(n) * ratio * |g_RL| / |g_BC|`` instead: the imitation gradient keeps a fixed size relative
-    to the RL gradient, whatever the scale of the rewards.
+    ``lambda(n) * ratio * |g_RL| / |g_BC|`` instead: the imitation gradient keeps a fixed size
+    relative to the RL gradient, whatever the scale of the rewards.
 
-    Deviation: the ratio is not in the paper, whose fixed lambda lets the share of imitation drift by
-    two orders of magnitude during a run; ``loss.bc_gradient_ratio=null`` is the paper's rule.
+    Deviation: the ratio is not in the paper, whose fixed lambda lets the share of imitation drift
+    by two orders of magnitude during a run; ``loss.bc_gradient_ratio=null`` is the paper's rule.
 
     Args:
         loss: Terms and networks.

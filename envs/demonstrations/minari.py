@@ -25,7 +25,8 @@ class MinariSource:
     """Episodes of a Minari dataset.
 
     Observations may be the 38-d or 39-d array. If the recorded infos hold ``qpos``, ``qvel`` and
-    ``door_body_pos``, their first entries are the initial state.
+    ``door_body_pos``, their first entries are the initial state. The environment variable
+    ``MINARI_OFFLINE=1`` forbids downloads.
 
     Args:
         dataset: an id such as ``D4RL/door/human-v2`` (downloaded if this machine lacks it), or

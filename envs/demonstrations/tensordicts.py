@@ -28,7 +28,7 @@ def to_tensordict(episodes: Iterable[Episode]) -> list[TensorDict]:
 
 
 def _to_tensordict(episode: Episode) -> TensorDict:
-    observations = torch.tensor(episode.observations, dtype=torch.float32)
+    observations = torch.from_numpy(episode.observations)
     terminated = torch.tensor(episode.terminated, dtype=torch.bool).unsqueeze(-1)
     done = terminated.clone()
     done[-1] = True

@@ -154,7 +154,7 @@ def _transition_count(observations: int, actions: int, where: str) -> int:
         raise DemonstrationError(
             where, f"has {observations} observations", "An episode needs at least one transition"
         )
-    return min(observations - 1, actions)
+    return observations - 1
 
 
 def _check_action_range(actions: NDArray[np.float64], where: str) -> None:

@@ -37,7 +37,7 @@ class DemoUpdateHook(TrainerHookBase):
         self.updates += 1
         if self.updates % self.period == 0:
             batch = self.demos.sample()
-            # For this update the demonstrations *are* the replay buffer: the RL terms must see them.
+            # In this update the demonstrations *are* the replay buffer: the RL terms see them.
             self.stepper.step(self._trainer, batch.exclude("is_demo"))
 
     def register(self, trainer: Trainer, name: str = "demo_update") -> None:

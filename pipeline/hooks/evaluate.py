@@ -19,7 +19,7 @@ class EvaluationHook(TrainerHookBase):
     Args:
         evaluator: What to run.
         policy: The actor being trained.
-        interval: Frames between evaluations.
+        interval: Frames between evaluations; 0 for none.
         path: ``learning_curve.jsonl`` of the run.
     """
 
@@ -36,7 +36,7 @@ class EvaluationHook(TrainerHookBase):
     def __call__(self, _batch: TensorDictBase | None = None) -> dict[str, Any] | None:
         """Evaluates when it is time; returns scalars for the logger."""
         frames = self._trainer.collected_frames if self._trainer is not None else 0
-        if frames < self.next_frame:
+        if self.interval == 0 or frames < self.next_frame:
             return None
         while self.next_frame <= frames:
             self.next_frame += self.interval

@@ -81,7 +81,7 @@ def test_every_other_global_is_refused(tmp_path: Path, module: str, name: str) -
 def test_codecs_are_limited_to_latin1(tmp_path: Path) -> None:
     path = tmp_path / "d.pickle"
     path.write_bytes(b"\x80\x02c_codecs\nencode\nX\x01\x00\x00\x00aX\x05\x00\x00\x00rot13\x86R.")
-    with pytest.raises(DemonstrationError, match="refused global _codecs.encode with 'rot13'"):
+    with pytest.raises(DemonstrationError, match=r"refused global _codecs\.encode with 'rot13'"):
         DapgSource(path).load()
 
 

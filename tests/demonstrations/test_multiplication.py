@@ -60,6 +60,7 @@ def test_keeps_as_many_as_asked_for_with_provenance(kept) -> None:
     assert len(kept) == 12
     attempts = [e.provenance.details["attempt"] for e in kept]
     assert attempts == sorted(set(attempts))
+    assert len({e.door_position.tobytes() for e in kept}) == 12
     for episode in kept:
         details = episode.provenance.details
         assert episode.provenance.kind == "multiplied"
@@ -98,6 +99,46 @@ def test_noise_is_executed_but_the_clean_action_is_recorded(sources) -> None:
         simulator.reset(attempt.door_position[None])
         expected = [simulator.step(a[None])[0] for a in attempt.executed_actions]
     np.testing.assert_array_equal(observations[1:], np.stack(expected))
+
+
+def test_the_arm_is_guided_by_the_offset_between_the_doors(sources) -> None:
+    still = [dataclasses.replace(e, actions=np.zeros_like(e.actions)) for e in sources]
+    drawn = [
+        AttemptFactory.prepare(still, config(guide_arm=on), build_scene()).draw(0, np.ones(3))
+        for on in (True, False)
+    ]
+    assert not drawn[1].clean_actions.any()
+    hand = drawn[0].clean_actions[:, 4:]
+    assert not hand.any()
+    # Early in the ramp, but away from zero: the displacement grows with time.
+    reach = np.abs(drawn[0].clean_actions[:, :4]).sum(axis=1)
+    assert (np.diff(reach) > 0).all()
+
+
+def opened_at(episode: Episode, step: int) -> Episode:
+    observations = episode.observations.copy()
+    observations[step + 1 :, task.HINGE] = 0.3
+    return dataclasses.replace(episode, observations=observations)
+
+
+def test_attempts_whose_door_stays_closed_are_given_up(sources) -> None:
+    settings = config(horizon=60, speed_low=2.0, speed_high=2.0)
+    factory = AttemptFactory.prepare([opened_at(sources[0], 8)], settings, build_scene())
+    attempt = factory.draw(0, np.ones(1))
+    # The recorded door moves in step 8, so at double speed in step 4; then patience begins.
+    assert 4 + 10 < attempt.opens_by < 60
+    stepped: list[int] = []
+    with DoorSimulator(1) as simulator:
+        step = simulator.step
+        simulator.step = lambda *a, **k: (stepped.append(1), step(*a, **k))[1]
+        ((_, observations),) = play_attempts(simulator, [attempt], settings)
+    assert observations is None
+    assert len(stepped) == attempt.opens_by + 1
+
+
+def test_a_source_that_never_opens_gives_no_deadline(sources) -> None:
+    factory = AttemptFactory.prepare(sources, config(horizon=60), build_scene())
+    assert factory.draw(0, np.ones(3)).opens_by == 60
 
 
 def test_no_source_gives_more_than_its_share(sources) -> None:

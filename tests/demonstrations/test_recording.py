@@ -11,6 +11,7 @@ import pytest
 
 from envs.demonstrations import (
     DemonstrationError,
+    Provenance,
     content_hash,
     read_card,
     read_recording,
@@ -126,6 +127,8 @@ def test_content_hash_sees_every_field() -> None:
         still_episode(door_position=None),
         still_episode(initial_qpos=np.zeros(30)),
         still_episode(initial_qvel=np.zeros(30)),
+        still_episode(provenance=Provenance("synthetic", 0, "policy", {"seed": 0})),
+        still_episode(provenance=Provenance("synthetic", 0, "recorded", {"seed": 1})),
     ]
     assert len({content_hash([variant]) for variant in variants}) == len(variants)
     assert content_hash([base, variants[1]]) != content_hash([variants[1], base])

@@ -1,0 +1,126 @@
+"""The demonstration buffers: what may change, what leaves first, who gets which share."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from pipeline.buffers import (
+    DemonstrationDistribution,
+    EpisodeRecord,
+    GrownDemonstrations,
+    make_buffer,
+    make_core_buffer,
+)
+from tests.pipeline.toys import tagged_rows
+
+CORE, GROWN = 1.0, 2.0
+
+
+def record(length: int, frame: int = 0, **changes) -> EpisodeRecord:
+    fields = {"source": "policy", "episode_return": 5.0, "max_angle": 1.5} | changes
+    return EpisodeRecord(length=length, frame=frame, **fields)
+
+
+def tags(rows) -> set[float]:
+    return set(rows["observation"][:, 0].tolist())
+
+
+def test_the_core_holds_exactly_the_rows_it_was_given():
+    rows = torch.cat([tagged_rows(tag, 1) for tag in (1.0, 2.0, 3.0)])
+    core = make_core_buffer(rows)
+    assert len(core) == 3
+    assert tags(core.sample(200)) == {1.0, 2.0, 3.0}
+
+
+def test_the_core_cannot_be_written_to():
+    core = make_core_buffer(tagged_rows(CORE, 4))
+    with pytest.raises(RuntimeError, match="doesn't allow writing"):
+        core.extend(tagged_rows(GROWN, 1))
+    assert tags(core.sample(50)) == {CORE}
+
+
+@pytest.mark.parametrize("kind", ["core", "main"])
+def test_buffers_own_their_rows(kind: str):
+    """A change of the source after storing must not reach the buffer."""
+    rows = tagged_rows(CORE, 4)
+    if kind == "core":
+        buffer = make_core_buffer(rows)
+    else:
+        buffer = make_buffer(10)
+        buffer.extend(rows)
+    rows.apply_(lambda tensor: tensor.fill_(math.nan) if tensor.is_floating_point() else tensor)
+    assert buffer.sample(20)["observation"].isfinite().all()
+    assert buffer.sample(20)["next", "reward"].isfinite().all()
+
+
+def test_a_change_of_a_sample_does_not_reach_the_buffer():
+    buffer = make_core_buffer(tagged_rows(CORE, 4))
+    buffer.sample(4)["observation"].fill_(math.nan)
+    assert buffer.sample(20)["observation"].isfinite().all()
+
+
+def test_no_demonstrations_are_refused():
+    with pytest.raises(ValueError, match=r"no transitions; check demos\.source"):
+        make_core_buffer(tagged_rows(CORE, 0))
+
+
+def test_the_oldest_grown_episode_leaves_first_and_takes_its_record_along():
+    grown = GrownDemonstrations(capacity=10)
+    for tag in (1.0, 2.0):
+        grown.add(tagged_rows(tag, 4), record(4, frame=int(tag)))
+    assert [r.frame for r in grown.records] == [1, 2]
+    grown.add(tagged_rows(3.0, 4), record(4, frame=3))
+    assert [r.frame for r in grown.records] == [2, 3]
+    # The ring still holds the two oldest rows' places that no newer episode has needed.
+    assert len(grown) == 10
+    kept = grown.buffer[:]["observation"][:, 0].tolist()
+    assert sorted(kept) == [1.0] * 2 + [2.0] * 4 + [3.0] * 4
+
+
+def test_an_episode_that_fits_exactly_stays():
+    grown = GrownDemonstrations(capacity=8)
+    grown.add(tagged_rows(1.0, 4), record(4))
+    grown.add(tagged_rows(2.0, 4), record(4))
+    assert len(grown.records) == 2
+
+
+def test_an_episode_longer_than_the_ring_is_refused():
+    with pytest.raises(ValueError, match=r"5 rows does not fit in growth\.capacity=4"):
+        GrownDemonstrations(capacity=4).add(tagged_rows(1.0, 5), record(5))
+
+
+def test_records_survive_a_round_trip():
+    grown = GrownDemonstrations(capacity=10)
+    grown.add(tagged_rows(1.0, 3), record(3, frame=7, episode_return=-2.5))
+    grown.add(tagged_rows(1.0, 2), record(2, frame=9, source="bc_model"))
+    restored = GrownDemonstrations(capacity=10)
+    restored.load_state_dict(grown.state_dict())
+    assert restored.records == grown.records
+    # Still the ring's bookkeeping, not just a list.
+    restored.add(tagged_rows(2.0, 8), record(8, frame=11))
+    assert [r.frame for r in restored.records] == [9, 11]
+
+
+@pytest.mark.parametrize("n", [1, 7, 64])
+def test_d_gives_exactly_n_rows(n: int):
+    grown = GrownDemonstrations(capacity=100)
+    d = DemonstrationDistribution(make_core_buffer(tagged_rows(CORE, 30)), grown)
+    assert len(d) == 30
+    assert d.sample(n).batch_size == (n,)
+    grown.add(tagged_rows(GROWN, 10), record(10))
+    assert len(d) == 40
+    assert all(d.sample(n).batch_size == (n,) for _ in range(20))
+
+
+def test_the_grown_part_gets_its_share_on_average():
+    """10 rows of 40, batches of 5: 1.25 rows each, so 1 or 2 and neither always."""
+    grown = GrownDemonstrations(capacity=100)
+    grown.add(tagged_rows(GROWN, 10), record(10))
+    d = DemonstrationDistribution(make_core_buffer(tagged_rows(CORE, 30)), grown)
+    counts = [int((d.sample(5)["observation"][:, 0] == GROWN).sum()) for _ in range(2000)]
+    assert set(counts) == {1, 2}
+    # The standard error is sqrt(0.25 * 0.75 / 2000) < 0.01.
+    assert sum(counts) / 2000 == pytest.approx(1.25, abs=0.04)

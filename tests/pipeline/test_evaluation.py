@@ -1,0 +1,211 @@
+"""Evaluation: the same episodes every time, counted to their ends and no further."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import nn
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from envs import make_env
+from envs.door.starts import door_position
+from pipeline import evaluation
+from pipeline.evaluation import Evaluator, Rollouts, as_scalars, door_starts, run_wave
+from pipeline.networks import make_actor
+
+ISSUE_COLUMNS = {
+    "episodes",
+    "return_mean",
+    "angle_mean_deg",
+    "angle_mean_deg_opened",
+    "share_gt_0",
+    "share_gt_0_2",
+    "share_gt_1_0",
+    "share_gt_1_35",
+    "success_at_end",
+    "steps_to_open_median",
+}
+
+
+@pytest.fixture(scope="module")
+def policy() -> nn.Module:
+    torch.manual_seed(3)
+    return make_actor(38, 28, [8])
+
+
+def evaluator(**changes) -> Evaluator:
+    options = {"episodes": 5, "seed": 11, "batch": 5, "horizon": 12, "num_threads": 1} | changes
+    return Evaluator("door", **options)
+
+
+@pytest.fixture(scope="module")
+def together(policy: nn.Module) -> Rollouts:
+    return evaluator().run(policy)
+
+
+@pytest.fixture
+def placed(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[np.ndarray]]:
+    """Where the doors stood in each wave."""
+    seen: list[np.ndarray] = []
+
+    def recorded(env, policy, start, limit=None):
+        wave = run_wave(env, policy, start, limit)
+        seen.append(env.door_position.numpy()[:limit].copy())
+        return wave
+
+    monkeypatch.setattr(evaluation, "run_wave", recorded)
+    return seen
+
+
+def test_the_batch_size_changes_neither_doors_nor_results(
+    policy: nn.Module, together: Rollouts, placed: list[np.ndarray]
+):
+    in_waves = evaluator(batch=2).run(policy)
+    assert [len(wave) for wave in placed] == [2, 2, 1]
+    expected = [door_position(11, i, 0) for i in range(5)]
+    np.testing.assert_array_equal(np.concatenate(placed), expected)
+    assert in_waves.hinge_angle.shape == together.hinge_angle.shape == (5, 12)
+    np.testing.assert_allclose(in_waves.returns, together.returns, atol=1e-3)
+    np.testing.assert_array_equal(in_waves.lengths, together.lengths)
+    assert len(np.unique(together.returns)) == 5
+
+
+def test_the_seed_is_that_of_the_list_of_doors(policy: nn.Module, together: Rollouts):
+    again, other = evaluator().run(policy), evaluator(seed=12).run(policy)
+    np.testing.assert_array_equal(again.returns, together.returns)
+    np.testing.assert_array_equal(again.hinge_angle, together.hinge_angle)
+    assert not np.isclose(other.returns, together.returns).any()
+
+
+def test_the_mean_action_is_not_a_sample(policy: nn.Module, together: Rollouts):
+    samples = [evaluator(exploration="sample").run(policy) for _ in range(2)]
+    np.testing.assert_array_equal(samples[0].returns, samples[1].returns)
+    assert not np.isclose(samples[0].returns, together.returns).any()
+
+
+@pytest.mark.parametrize("exploration", ["mean", "sample"])
+def test_the_callers_randomness_and_mode_are_left_alone(policy: nn.Module, exploration: str):
+    policy.train()
+    before, numpy_before = torch.get_rng_state(), np.random.get_state()[1].copy()
+    evaluator(episodes=2, exploration=exploration).run(policy)
+    assert torch.equal(torch.get_rng_state(), before)
+    assert (np.random.get_state()[1] == numpy_before).all()
+    assert policy.training
+
+
+def test_the_policy_is_evaluated_in_evaluation_mode():
+    modes = []
+
+    class Watching(nn.Module):
+        def forward(self, td: TensorDictBase) -> TensorDictBase:
+            modes.append(self.training)
+            return td.set("action", torch.zeros(*td.batch_size, 28))
+
+    evaluator(episodes=1).run(Watching().train())
+    assert set(modes) == {False}
+
+
+class Countdown(EnvBase):
+    """Copy i terminates after i + 1 steps; reward 1 per step; the angle is the step's number."""
+
+    def __init__(self, copies: int) -> None:
+        super().__init__(batch_size=[copies])
+        shape = (copies, 1)
+        self.observation_spec = Composite(
+            observation=Unbounded(shape), hinge_angle=Unbounded(shape), shape=(copies,)
+        )
+        self.action_spec = Bounded(-1.0, 1.0, shape)
+        self.reward_spec = Unbounded(shape)
+        flag = Binary(shape=shape, dtype=torch.bool)
+        self.done_spec = Composite(done=flag, terminated=flag.clone(), shape=(copies,))
+
+    def _observed(self) -> dict[str, torch.Tensor]:
+        over = self.elapsed > torch.arange(len(self.elapsed)).unsqueeze(-1)
+        angle = self.elapsed.float()
+        return {"observation": angle, "hinge_angle": angle, "done": over, "terminated": over}
+
+    def _reset(self, tensordict: TensorDictBase | None = None) -> TensorDictBase:
+        self.elapsed = torch.zeros(*self.batch_size, 1, dtype=torch.int64)
+        return TensorDict(self._observed(), self.batch_size)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self.elapsed = self.elapsed + 1
+        reward = torch.ones(*self.batch_size, 1)
+        return TensorDict(self._observed() | {"reward": reward}, self.batch_size)
+
+    def _set_seed(self, seed: int | None) -> None: ...
+
+
+def still(td: TensorDictBase) -> TensorDictBase:
+    return td.set("action", torch.zeros(*td.batch_size, 1))
+
+
+def test_an_episode_that_ends_early_is_not_counted_after_its_end():
+    wave = run_wave(Countdown(3), still, None)
+    assert wave.lengths.tolist() == [1, 2, 3]
+    assert wave.returns.tolist() == [1.0, 2.0, 3.0]
+    nan = np.nan
+    np.testing.assert_array_equal(
+        wave.hinge_angle, [[1.0, nan, nan], [1.0, 2.0, nan], [1.0, 2.0, 3.0]]
+    )
+    assert wave.metrics().length_mean == 2.0
+
+
+def test_a_limit_keeps_the_first_episodes():
+    assert run_wave(Countdown(3), still, None, limit=2).lengths.tolist() == [1, 2]
+
+
+def test_waves_of_different_length_are_joined():
+    joined = Rollouts.join([run_wave(Countdown(n), still, None) for n in (1, 2)])
+    assert joined.lengths.tolist() == [1, 1, 2]
+    np.testing.assert_array_equal(joined.hinge_angle, [[1.0, np.nan], [1.0, np.nan], [1.0, 2.0]])
+
+
+def test_the_columns_of_the_tables_are_plain_numbers(together: Rollouts):
+    scalars = as_scalars(together.metrics())
+    assert set(scalars) >= ISSUE_COLUMNS
+    assert json.loads(json.dumps(scalars)) == scalars
+    assert scalars["episodes"] == 5
+    assert isinstance(scalars["share_gt_1_35_ci95"], list)
+    assert scalars["return_mean"] == pytest.approx(together.returns.mean())
+
+
+def test_other_tasks_report_returns(policy: nn.Module):
+    pendulum = Evaluator("gymnasium:Pendulum-v1", episodes=3, seed=1, batch=2, horizon=5)
+    runs = [pendulum.run(make_policy_for_pendulum()) for _ in range(2)]
+    np.testing.assert_array_equal(runs[0].returns, runs[1].returns)
+    scalars = as_scalars(runs[0].metrics())
+    assert (scalars["episodes"], scalars["length_mean"]) == (3, 5.0)
+    assert -100 < scalars["return_mean"] < 0
+
+
+def make_policy_for_pendulum() -> nn.Module:
+    torch.manual_seed(0)
+    return make_actor(3, 1, [8])
+
+
+def test_only_doors_can_be_placed():
+    assert door_starts(Countdown(2), 1, 0) is None
+    with_door = make_env("door", num_envs=2, num_threads=1)
+    positions = door_starts(with_door, 1, 3)["door_position"]
+    with_door.close()
+    np.testing.assert_array_equal(positions, [door_position(1, 3, 0), door_position(1, 4, 0)])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"exploration": "random"}, r"evaluation\.exploration must be one of .* got 'random'"),
+        ({"episodes": 0}, "must be at least 1, got 0 and 5"),
+        ({"batch": 0}, "must be at least 1, got 5 and 0"),
+    ],
+)
+def test_senseless_values_name_their_keys(changes: dict, message: str):
+    with pytest.raises(ValueError, match=message):
+        evaluator(**changes)

@@ -1,0 +1,204 @@
+"""Hooks by themselves; that a run calls them rightly is in test_runs.py."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
+from pipeline.evaluation import Rollouts
+from pipeline.hooks import DemoUpdateHook, EpisodeHook, EvaluationHook, StoreHook
+from pipeline.mixture import Mixture
+from pipeline.rows import TransitionRows
+from tests.pipeline.toys import tagged_rows, trajectory
+
+
+class FakeTrainer:
+    """Keeps what hooks register; counts frames."""
+
+    def __init__(self) -> None:
+        self.modules: dict[str, object] = {}
+        self.ops: dict[str, list] = {}
+        self.collected_frames = 0
+
+    def register_module(self, name: str, module: object) -> None:
+        self.modules[name] = module
+
+    def register_op(self, dest: str, op: object) -> None:
+        self.ops.setdefault(dest, []).append(op)
+
+
+@pytest.fixture
+def trainer() -> FakeTrainer:
+    return FakeTrainer()
+
+
+def test_store_writes_rows_and_hands_the_batch_on(trainer: FakeTrainer):
+    buffer = make_buffer(20)
+    hook = StoreHook(buffer, TransitionRows(0.5, n_step=2))
+    hook.register(trainer)
+    batch = trajectory([1.0, 2.0, 4.0], truncated=[2]).unsqueeze(0)
+    assert hook(batch) is batch
+    assert buffer[:]["next", "reward"].squeeze(-1).tolist() == [2.0, 4.0, 4.0]
+    assert trainer.modules["main_buffer"] is buffer
+    # TorchRL skips pre_epoch while actions are random.
+    assert trainer.ops == {"batch_process": [hook]}
+
+
+@pytest.mark.parametrize("period", [1, 2, 3])
+def test_every_fth_update_is_followed_by_one_on_the_demonstrations(
+    trainer: FakeTrainer, period: int
+):
+    updates = []
+    stepper = SimpleNamespace(step=lambda _trainer, batch: updates.append(batch))
+    core = DemonstrationDistribution(make_core_buffer(tagged_rows(7.0, 3)))
+    hook = DemoUpdateHook(stepper, Mixture(None, core, main_rows=0, demo_rows=4), period)
+    hook.register(trainer)
+    assert trainer.ops == {"post_optim": [hook]}
+    made = []
+    for _ in range(6):
+        hook()
+        made.append(len(updates))
+    assert made == [i // period for i in range(1, 7)]
+    for batch in updates:
+        assert batch.batch_size == (4,)
+        assert (batch["observation"] == 7.0).all()
+        # Marked rows would be hidden from the RL terms, which are all there is to this update.
+        assert "is_demo" not in batch.keys()  # noqa: SIM118
+
+
+def test_the_count_of_updates_survives(trainer: FakeTrainer):
+    updates = []
+    stepper = SimpleNamespace(step=lambda _trainer, batch: updates.append(batch))
+    demos = SimpleNamespace(sample=lambda: tagged_rows(1.0, 2))
+    first = DemoUpdateHook(stepper, demos, 3)
+    first()
+    first()
+    second = DemoUpdateHook(stepper, demos, 3)
+    second.load_state_dict(first.state_dict())
+    second()
+    assert len(updates) == 1
+
+
+def test_a_period_of_demo_updates_below_one_names_its_key():
+    with pytest.raises(ValueError, match=r"sampler\.demo_update_period must be at least 1"):
+        DemoUpdateHook(SimpleNamespace(), SimpleNamespace(), 0)
+
+
+class FakeEvaluator:
+    def run(self, policy: object) -> Rollouts:
+        angles = np.array([[0.0, 1.5], [0.0, 0.1]], dtype=np.float32)
+        return Rollouts(np.array([10.0, 20.0]), np.array([2, 2]), angles)
+
+
+def evaluation_hook(trainer: FakeTrainer, path: Path, interval: int) -> EvaluationHook:
+    hook = EvaluationHook(FakeEvaluator(), None, interval, path)
+    hook.register(trainer)
+    return hook
+
+
+def frames_evaluated(hook: EvaluationHook, trainer: FakeTrainer, frames: range) -> list[int]:
+    evaluated = []
+    for trainer.collected_frames in frames:
+        if hook() is not None:
+            evaluated.append(trainer.collected_frames)
+    return evaluated
+
+
+def test_evaluations_come_in_step(trainer: FakeTrainer, tmp_path: Path):
+    """Batches of 30 frames, an evaluation due every 100: at the first look after each."""
+    hook = evaluation_hook(trainer, tmp_path / "curve.jsonl", 100)
+    assert frames_evaluated(hook, trainer, range(30, 400, 30)) == [30, 120, 210, 300]
+
+
+def test_large_batches_do_not_pile_evaluations_up(trainer: FakeTrainer, tmp_path: Path):
+    hook = evaluation_hook(trainer, tmp_path / "curve.jsonl", 10)
+    assert frames_evaluated(hook, trainer, range(35, 140, 35)) == [35, 70, 105]
+
+
+def test_an_interval_of_zero_is_never(trainer: FakeTrainer, tmp_path: Path):
+    hook = evaluation_hook(trainer, tmp_path / "curve.jsonl", 0)
+    assert frames_evaluated(hook, trainer, range(0, 400, 30)) == []
+
+
+def test_every_evaluation_is_a_line_of_the_learning_curve(trainer: FakeTrainer, tmp_path: Path):
+    path = tmp_path / "curve.jsonl"
+    hook = evaluation_hook(trainer, path, 100)
+    frames_evaluated(hook, trainer, range(30, 200, 30))
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    assert [line["frames"] for line in lines] == [30, 120]
+    assert lines[0]["return_mean"] == 15.0
+    assert lines[0]["share_gt_1_35"] == 0.5
+
+
+def test_what_is_logged_are_numbers_under_eval(trainer: FakeTrainer, tmp_path: Path):
+    logged = evaluation_hook(trainer, tmp_path / "curve.jsonl", 100)()
+    assert logged is not None
+    assert logged.pop("log_pbar") is False
+    assert logged["eval/return_mean"] == 15.0
+    assert all(key.startswith("eval/") for key in logged)
+    assert all(isinstance(value, (int, float)) for value in logged.values())
+
+
+def test_the_next_evaluation_survives(trainer: FakeTrainer, tmp_path: Path):
+    first = evaluation_hook(trainer, tmp_path / "curve.jsonl", 100)
+    frames_evaluated(first, trainer, range(30, 150, 30))
+    second = evaluation_hook(trainer, tmp_path / "curve.jsonl", 100)
+    second.load_state_dict(first.state_dict())
+    assert frames_evaluated(second, trainer, range(150, 250, 30)) == [210]
+
+
+def episode(total: float, angle: float | None) -> object:
+    steps = trajectory([total], truncated=[0])
+    if angle is not None:
+        steps["next", "hinge_angle"] = torch.full((1, 1), angle)
+    return steps.unsqueeze(0)
+
+
+def test_running_averages_of_the_training_episodes(trainer: FakeTrainer):
+    hook = EpisodeHook()
+    hook.register(trainer)
+    assert hook.log(episode(0.0, 0.0)) is None
+    for i in range(25):
+        hook(episode(float(i), 1.4 if i >= 10 else 1.3))
+    logged = hook.log(episode(0.0, 0.0))
+    # The last 20: returns 5 .. 24, of which those from 10 on opened.
+    assert logged == {"train_return": 14.5, "train_success": 0.75, "log_pbar": True}
+
+
+def test_a_task_without_a_hinge_has_no_success_rate():
+    hook = EpisodeHook()
+    hook(episode(3.0, None))
+    assert hook.log(episode(0.0, None)) == {"train_return": 3.0, "log_pbar": True}
+
+
+def test_each_episode_is_offered_with_the_frame_it_ended_by(trainer: FakeTrainer):
+    offered = []
+    hook = EpisodeHook(on_episode=lambda done, frame: offered.append((done.episode_return, frame)))
+    hook.register(trainer)
+    steps = trajectory([1.0, 2.0, 3.0, 4.0], truncated=[1, 3]).unsqueeze(0)
+    trainer.collected_frames = 100
+    assert hook(steps) is steps
+    assert offered == [(3.0, 104), (7.0, 104)]
+
+
+def test_open_episodes_and_averages_survive(trainer: FakeTrainer):
+    offered = []
+    steps = trajectory([1.0, 2.0, 3.0, 4.0], truncated=[0, 3]).unsqueeze(0)
+    steps["next", "hinge_angle"] = torch.full((1, 4, 1), 1.5)
+    first = EpisodeHook()
+    first(steps[:, :3])
+    second = EpisodeHook(on_episode=lambda done, frame: offered.append(done.episode_return))
+    second.load_state_dict(first.state_dict())
+    assert second.log(steps) == {"train_return": 1.0, "train_success": 1.0, "log_pbar": True}
+    second(steps[:, 3:])
+    assert offered == [9.0]
+    for i in range(30):
+        second(episode(float(i), math.nan))
+    assert len(second.returns) == 20

@@ -1,0 +1,176 @@
+"""Networks, batches and runs of the pipeline tests: small enough to reason about."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from hydra import compose, initialize_config_module
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import OmegaConf, open_dict
+from tensordict import TensorDict
+
+from configs import Config, register_schema
+from envs.demonstrations import Episode, Provenance, write_recording
+from envs.door import task
+from envs.door.simulator import DoorSimulator
+from envs.door.starts import door_position
+from losses import BCSACLoss
+from pipeline.networks import BatchedCritics, make_actor
+
+OBSERVATION_SIZE = 3
+ACTION_SIZE = 2
+register_schema()
+
+TINY = (
+    "env.num_threads=1",
+    "env.horizon=10",
+    "collector.total_frames=40",
+    "collector.frames_per_batch=20",
+    "bc.updates=100",
+    "bc.batch_size=8",
+    "sampler.batch_size=8",
+    "growth.bc_model_episodes=2",
+    "evaluation.interval=1000",
+    "evaluation.interval_episodes=1",
+    "optim.actor_delay=0",
+)
+"""Overrides of the smoke preset under which a run takes a fraction of a second."""
+
+
+def compose_config(variant: str, preset: str, *overrides: str) -> Config:
+    """The resolved configuration that ``make train`` would run."""
+    with initialize_config_module("configs", version_base="1.3"):
+        config = compose(
+            "train",
+            [f"variant={variant}", f"preset={preset}", *overrides],
+            return_hydra_config=True,
+        )
+        HydraConfig.instance().set_config(config)
+        with open_dict(config):
+            del config["hydra"]
+        OmegaConf.resolve(config)
+    return config  # type: ignore[return-value]
+
+
+def tiny_config(variant: str, folder: Path, demos: Path, *overrides: str) -> Config:
+    """A run of 40 frames below ``folder``."""
+    return compose_config(
+        variant,
+        "smoke",
+        *TINY,
+        f"run_dir='{folder / variant}'",
+        f"cache_dir='{folder / 'cache'}'",
+        f"demos.source='{demos}'",
+        *overrides,
+    )
+
+
+def write_demos(path: Path, episodes: int = 2, steps: int = 12) -> Path:
+    """A recording of short episodes of gentle random actions, as the simulator played them."""
+    rng = np.random.default_rng(0)
+    doors = np.array([door_position(1, i, 0) for i in range(episodes)])
+    simulator = DoorSimulator(episodes, num_threads=1)
+    simulator.reset(doors)
+    observations = [simulator.observation().copy()]
+    actions = rng.uniform(-0.3, 0.3, size=(steps, episodes, task.ACTION_SIZE)).astype(np.float32)
+    for action in actions:
+        observations.append(simulator.step(action).copy())
+    simulator.close()
+    seen = np.stack(observations, axis=1)
+    recorded = [
+        Episode(
+            observations=seen[i],
+            actions=actions[:, i],
+            rewards=task.reward(seen[i, 1:]),
+            terminated=np.zeros(steps, dtype=bool),
+            provenance=Provenance("synthetic", i, "recorded"),
+            door_position=doors[i],
+            initial_qpos=np.zeros(30),
+            initial_qvel=np.zeros(30),
+        )
+        for i in range(episodes)
+    ]
+    write_recording(path, recorded, {"made_by": "the tests"})
+    return path
+
+
+def make_loss(**options: Any) -> BCSACLoss:
+    """BCSACLoss over the pipeline's own networks."""
+    actor = make_actor(OBSERVATION_SIZE, ACTION_SIZE, [8])
+    critic = BatchedCritics(OBSERVATION_SIZE, ACTION_SIZE, [8], 2)
+    return BCSACLoss(actor, critic, target_entropy=-float(ACTION_SIZE), **options)
+
+
+def make_batch(rows: int, demo_rows: int | None = None) -> TensorDict:
+    """``rows`` transitions of which the last ``demo_rows`` are marked; None: no marks."""
+    batch = TensorDict(
+        {
+            "observation": torch.randn(rows, OBSERVATION_SIZE),
+            "action": torch.rand(rows, ACTION_SIZE) * 1.6 - 0.8,
+            "steps_to_next_obs": torch.ones(rows, 1, dtype=torch.int64),
+            "next": {
+                "observation": torch.randn(rows, OBSERVATION_SIZE),
+                "reward": torch.randn(rows, 1),
+                "terminated": torch.zeros(rows, 1, dtype=torch.bool),
+            },
+        },
+        [rows],
+    )
+    if demo_rows is not None:
+        batch["is_demo"] = torch.arange(rows).unsqueeze(-1) >= rows - demo_rows
+    return batch
+
+
+def trajectory(
+    rewards: list[float], *, terminated: list[int] = (), truncated: list[int] = (), tag: float = 0.0
+) -> TensorDict:
+    """Transitions [T] whose observation at time t is ``tag + t``; episodes end where listed."""
+    steps = len(rewards)
+    time = torch.arange(steps + 1, dtype=torch.float32).unsqueeze(-1) + tag
+    ends = torch.zeros(2, steps, 1, dtype=torch.bool)
+    for kind, at in enumerate((terminated, truncated)):
+        ends[kind, list(at)] = True
+    return TensorDict(
+        {
+            "observation": time[:-1].clone(),
+            "action": torch.zeros(steps, 1),
+            "next": {
+                "observation": time[1:].clone(),
+                "reward": torch.tensor(rewards, dtype=torch.float32).unsqueeze(-1),
+                "terminated": ends[0],
+                "truncated": ends[1],
+                "done": ends[0] | ends[1],
+            },
+        },
+        [steps],
+    )
+
+
+def tagged_rows(tag: float, count: int) -> TensorDict:
+    """``count`` rows that can be told from others: every observation and reward is ``tag``."""
+    return TensorDict(
+        {
+            "observation": torch.full((count, OBSERVATION_SIZE), tag),
+            "action": torch.zeros(count, ACTION_SIZE),
+            "steps_to_next_obs": torch.ones(count, 1, dtype=torch.int64),
+            "next": {
+                "observation": torch.full((count, OBSERVATION_SIZE), tag),
+                "reward": torch.full((count, 1), tag),
+                "terminated": torch.zeros(count, 1, dtype=torch.bool),
+            },
+        },
+        [count],
+    )
+
+
+def parameters_of(module: torch.nn.Module) -> list[torch.Tensor]:
+    """Copies of all parameters."""
+    return [parameter.detach().clone() for parameter in module.parameters()]
+
+
+def same(left: list[torch.Tensor], right: list[torch.Tensor]) -> bool:
+    """Whether two lists of tensors are equal bit for bit."""
+    return all(torch.equal(a, b) for a, b in zip(left, right, strict=True))
