@@ -115,6 +115,7 @@ class OptimConfig:
     target_period: int = 2  # critic updates per target update
     actor_delay: int = 0  # critic updates before the first actor update (critic warm-up)
     max_grad_norm: float | None = None
+    anneal_actor: bool = False  # cosine from actor_lr to 0 over the run
     diagnostics_period: int = 100  # actor updates between gradient diagnostics
 
 
@@ -152,6 +153,7 @@ class BehaviourCloningConfig:
 
     updates: int = 100_000
     lr: float = 1e-5
+    anneal: bool = False  # cosine from lr to 0 over the updates
     batch_size: int = 1024
 
 

@@ -60,7 +60,9 @@ class Run:
 
     def train(self) -> None:
         """Trains to the end; the newest checkpoint and the learning curve are in ``run_dir``."""
-        self.trainer.train()
+        # The trainer looks at its total only after a batch: a complete run would grow by one.
+        if self.trainer.collected_frames < self.trainer.total_frames:
+            self.trainer.train()
 
 
 def build_run(config: Config, *, resume: bool = False) -> Run:
@@ -111,7 +113,11 @@ def build_offline(config: Config, run_dir: Path, demos: Demonstrations | None) -
         total_frames=config.bc.updates,
         optim_steps_per_batch=OFFLINE_UPDATES_PER_BATCH,
         loss_module=loss,
-        optimization_stepper=ImitationStepper(loss, actor_lr=config.bc.lr),
+        optimization_stepper=ImitationStepper(
+            loss,
+            actor_lr=config.bc.lr,
+            anneal_updates=config.bc.updates if config.bc.anneal else None,
+        ),
     )
     trainer.register_op("process_optim_batch", mixture)
     _evaluation_hook(config, actor, run_dir).register(trainer)
@@ -154,6 +160,7 @@ def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) ->
         ),
         bc_gradient_ratio=config.loss.bc_gradient_ratio,
         max_grad_norm=config.optim.max_grad_norm,
+        anneal_updates=_actor_updates(config) if config.optim.anneal_actor else None,
     )
     collector = Collector(
         env,
@@ -301,6 +308,12 @@ def _updates_per_batch(config: Config) -> int:
             f"number of at least 1, got {updates}."
         )
     return round(updates)
+
+
+def _actor_updates(config: Config) -> int:
+    learning_frames = config.collector.total_frames - config.collector.random_frames
+    critic_updates = round(config.optim.updates_per_frame * learning_frames)
+    return max(critic_updates - config.optim.actor_delay, 0) // config.optim.actor_period
 
 
 def _evaluation_hook(config: Config, actor: ProbabilisticActor, run_dir: Path) -> EvaluationHook:

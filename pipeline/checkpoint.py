@@ -7,6 +7,7 @@ episodes, and the random generators.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,8 +17,8 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.checkpoint import (
     Checkpoint,
+    CheckpointAdapter,
     CheckpointRotation,
-    DumpLoadCheckpointAdapter,
     GlobalRNGState,
 )
 from torchrl.collectors import BaseCollector
@@ -26,24 +27,35 @@ from torchrl.trainers import Trainer
 
 KEEP_LAST = 1
 DIRECTORY = "checkpoints"
-
-
 PICKLES = ("*.pkl", "*.pickle")
 
 
-class BufferAdapter(DumpLoadCheckpointAdapter):
-    """Replay buffers in TorchRL's own format, less the one file of it that is a pickle.
+class BufferAdapter(CheckpointAdapter):
+    """A replay buffer as its rows and the state of its writer.
 
-    That file holds batches sampled ahead, which the buffers here never do.  Reading a pickle runs
-    what it says, and a checkpoint may come from someone else.
+    TorchRL's own dump of a buffer holds a pickle, whose reading can run anything, fails while the
+    buffer is empty, and does not fit a buffer of another capacity (a run that goes on for longer).
     """
 
-    def save(self, component: ReplayBuffer, path: Path, **options: Any) -> Any:
-        """Dumps ``component`` below ``path``."""
-        saved = super().save(component, path, **options)
-        for pickle in _pickles(path):
-            pickle.unlink()
-        return saved
+    adapter_id = "door.replay_buffer"
+    rows = "rows"
+    writer = "writer.json"
+
+    def save(self, component: ReplayBuffer, path: Path, **_options: Any) -> None:
+        """Writes the rows and the writer's state below ``path``."""
+        path.mkdir(parents=True, exist_ok=True)
+        if len(component) > 0:
+            component[:].memmap(path / self.rows, copy_existing=True)
+        (path / self.writer).write_text(json.dumps(component.writer.state_dict()))
+
+    def load(self, component: ReplayBuffer, path: Path, **_options: Any) -> None:
+        """Replaces what ``component`` holds."""
+        component.empty()
+        if (path / self.rows).is_dir():
+            component.extend(TensorDict.load_memmap(path / self.rows))
+        # In a ring that is larger than the saved one, the next row goes behind the last.
+        if len(component) == component.storage.max_size:
+            component.writer.load_state_dict(json.loads((path / self.writer).read_text()))
 
 
 class CollectorState:
@@ -126,8 +138,10 @@ def load_trainer(path: Path, trainer: Trainer) -> None:
     Raises:
         ValueError: If the checkpoint is damaged, holds pickles or is of another architecture.
     """
+    # Not trainer.load_from_file: it also pushes the policy to the collector, in a form that a
+    # collector of one process does not take; here both act with the module that was loaded.
     with _explained(path, components="*"):
-        trainer.load_from_file(path)
+        trainer.checkpoint.load(path, map_location="cpu")
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
+from torch.optim.lr_scheduler import ConstantLR, CosineAnnealingLR, LRScheduler
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from losses import BCSACLoss
@@ -64,6 +65,8 @@ class BCSACStepper(OptimizationStepper):
         rhythm: How often each part runs.
         bc_gradient_ratio: None for the paper's fixed weights.
         max_grad_norm: Clips the norm of the actor's and the critic's gradient; None leaves them.
+        anneal_updates: Actor updates over which a cosine takes the actor's rate to zero; None
+            keeps it constant.
     """
 
     def __init__(
@@ -76,6 +79,7 @@ class BCSACStepper(OptimizationStepper):
         rhythm: StepRhythm | None = None,
         bc_gradient_ratio: float | None = None,
         max_grad_norm: float | None = None,
+        anneal_updates: int | None = None,
     ) -> None:
         self.loss = loss
         self.rhythm = rhythm if rhythm is not None else StepRhythm()
@@ -87,6 +91,7 @@ class BCSACStepper(OptimizationStepper):
             "actor": _adam(self.actor_parameters, actor_lr),
             "temperature": _adam([loss.log_alpha], temperature_lr),
         }
+        self.annealing = _annealing(self.optimizers["actor"], anneal_updates)
         self.critic_updates = 0
         self.last: dict[str, Tensor] = {}
 
@@ -130,6 +135,7 @@ class BCSACStepper(OptimizationStepper):
             (terms.rl + weight * terms.bc).backward()
         self._clip(self.actor_parameters)
         self.optimizers["actor"].step()
+        self.annealing.step()
         alpha_loss = self._temperature_step(terms.log_prob)
         self.last.update(
             loss_actor=terms.rl.detach(),
@@ -158,6 +164,7 @@ class BCSACStepper(OptimizationStepper):
         """Optimizer moments, counters and last metrics."""
         return {
             "optimizers": {name: opt.state_dict() for name, opt in self.optimizers.items()},
+            "annealing": self.annealing.state_dict(),
             "critic_updates": self.critic_updates,
             "last": dict(self.last),
         }
@@ -166,6 +173,7 @@ class BCSACStepper(OptimizationStepper):
         """Restores what :meth:`state_dict` gave."""
         for name, optimizer in self.optimizers.items():
             optimizer.load_state_dict(state["optimizers"][name])
+        self.annealing.load_state_dict(state["annealing"])
         self.critic_updates = state["critic_updates"]
         self.last = dict(state["last"])
 
@@ -176,11 +184,17 @@ class ImitationStepper(OptimizationStepper):
     Args:
         loss: Only its imitation term and actor are used.
         actor_lr: Adam's rate.
+        anneal_updates: Updates over which a cosine takes the rate to zero; None keeps it constant.
+            The closed-loop success of a constant rate wanders from checkpoint to checkpoint while
+            the loss hardly moves; an annealed run ends where the wandering has died down.
     """
 
-    def __init__(self, loss: BCSACLoss, *, actor_lr: float) -> None:
+    def __init__(
+        self, loss: BCSACLoss, *, actor_lr: float, anneal_updates: int | None = None
+    ) -> None:
         self.loss = loss
         self.optimizer = _adam(loss.actor.parameters(), actor_lr)
+        self.annealing = _annealing(self.optimizer, anneal_updates)
 
     def step(self, _trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
         """Updates on one batch of demonstration rows; returns ``loss_bc``."""
@@ -188,19 +202,30 @@ class ImitationStepper(OptimizationStepper):
         self.optimizer.zero_grad()
         loss.backward()
         self.optimizer.step()
+        self.annealing.step()
         return TensorDict({"loss_bc": loss.detach()}, device=sub_batch.device)
 
     def state_dict(self) -> dict[str, Any]:
         """Optimizer moments."""
-        return {"optimizer": self.optimizer.state_dict()}
+        return {
+            "optimizer": self.optimizer.state_dict(),
+            "annealing": self.annealing.state_dict(),
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""
         self.optimizer.load_state_dict(state["optimizer"])
+        self.annealing.load_state_dict(state["annealing"])
 
 
 def _adam(parameters: Iterable[nn.Parameter], lr: float) -> torch.optim.Adam:
     return torch.optim.Adam(list(parameters), lr=lr, fused=True)
+
+
+def _annealing(optimizer: torch.optim.Optimizer, updates: int | None) -> LRScheduler:
+    if updates is None:
+        return ConstantLR(optimizer, factor=1.0)
+    return CosineAnnealingLR(optimizer, T_max=max(updates, 1))
 
 
 def _norm(tensors: Iterable[Tensor]) -> Tensor:

@@ -8,7 +8,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 
 from pipeline.episodes import EpisodeAssembler, FinishedEpisode
 from tests.pipeline.toys import trajectory

@@ -30,9 +30,7 @@ def sources(grown_rows: int = 0) -> tuple:
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    main_rows=st.integers(0, 20), demo_rows=st.integers(0, 20), grown_rows=st.integers(0, 30)
-)
+@given(main_rows=st.integers(0, 20), demo_rows=st.integers(0, 20), grown_rows=st.integers(0, 30))
 def test_counts_are_exact_and_marks_are_true(main_rows: int, demo_rows: int, grown_rows: int):
     if main_rows + demo_rows == 0:
         return

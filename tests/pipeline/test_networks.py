@@ -20,7 +20,7 @@ from pipeline.networks import (
     make_actor,
 )
 
-E, B, O, A = 3, 7, 5, 2
+E, B, OBS, A = 3, 7, 5, 2
 
 
 def member_value(critics: BatchedCritics, member: int, inputs: torch.Tensor) -> torch.Tensor:
@@ -43,9 +43,9 @@ def randomise(module: nn.Module) -> None:
 
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_batched_critics_are_separate_networks(layer_norm: bool):
-    critics = BatchedCritics(O, A, [6, 4], E, layer_norm=layer_norm)
+    critics = BatchedCritics(OBS, A, [6, 4], E, layer_norm=layer_norm)
     randomise(critics)
-    observation, action = torch.randn(B, O), torch.randn(B, A)
+    observation, action = torch.randn(B, OBS), torch.randn(B, A)
     values = critics(observation, action)
     assert values.shape == (E, B, 1)
     for member in range(E):
@@ -54,7 +54,7 @@ def test_batched_critics_are_separate_networks(layer_norm: bool):
 
 
 def test_each_member_has_weights_of_its_own():
-    weight = BatchedCritics(O, A, [6], E).layers[0].weight
+    weight = BatchedCritics(OBS, A, [6], E).layers[0].weight
     assert not torch.equal(weight[0], weight[1])
     # Orthogonal per member, not over the stacked tensor.
     torch.testing.assert_close(weight[0].T @ weight[0], torch.eye(6))
@@ -62,8 +62,8 @@ def test_each_member_has_weights_of_its_own():
 
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_a_members_loss_reaches_no_other_member(layer_norm: bool):
-    critics = BatchedCritics(O, A, [6, 4], E, layer_norm=layer_norm)
-    critics(torch.randn(B, O), torch.randn(B, A))[1].sum().backward()
+    critics = BatchedCritics(OBS, A, [6, 4], E, layer_norm=layer_norm)
+    critics(torch.randn(B, OBS), torch.randn(B, A))[1].sum().backward()
     for name, parameter in critics.named_parameters():
         assert parameter.grad is not None, name
         touched = parameter.grad.flatten(1).abs().sum(1) > 0
@@ -93,15 +93,15 @@ def test_log_std_stays_within_its_bounds_and_keeps_a_gradient():
 
 def test_the_bounds_of_log_std_must_be_in_order():
     with pytest.raises(ValueError, match=r"actor\.log_std_min \(2\.0\) must be below"):
-        make_actor(O, A, [4], log_std_min=2.0, log_std_max=2.0)
+        make_actor(OBS, A, [4], log_std_min=2.0, log_std_max=2.0)
 
 
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_the_actor_writes_actions_inside_the_unit_box(layer_norm: bool):
-    actor = make_actor(O, A, [6], layer_norm=layer_norm, log_std_min=-1.0, log_std_max=1.0)
+    actor = make_actor(OBS, A, [6], layer_norm=layer_norm, log_std_min=-1.0, log_std_max=1.0)
     norms = [m for m in actor.modules() if isinstance(m, nn.LayerNorm)]
     assert [tuple(m.normalized_shape) for m in norms] == ([(6,)] if layer_norm else [])
-    out = actor(TensorDict({"observation": 50 * torch.randn(100, O)}, [100]))
+    out = actor(TensorDict({"observation": 50 * torch.randn(100, OBS)}, [100]))
     assert out["action"].shape == (100, A)
     assert (out["action"].abs() <= 1).all()
     assert (out["scale"] >= math.exp(-1) * 0.999).all()
@@ -109,7 +109,9 @@ def test_the_actor_writes_actions_inside_the_unit_box(layer_norm: bool):
 
 
 def test_normaliser_standardises_clips_and_floors():
-    normalizer = ObservationNormalizer(torch.tensor([1.0, -2.0, 0.0]), torch.tensor([2.0, 4.0, 0.0]))
+    normalizer = ObservationNormalizer(
+        torch.tensor([1.0, -2.0, 0.0]), torch.tensor([2.0, 4.0, 0.0])
+    )
     scaled = normalizer(torch.tensor([[5.0, -6.0, 0.02], [1e6, -1e6, 0.0]]))
     floored = 0.02 / 1e-2
     expected = [[2.0, -1.0, floored], [OBSERVATION_CLIP, -OBSERVATION_CLIP, 0.0]]
@@ -123,11 +125,11 @@ def test_identity_normaliser_only_clips():
 
 
 def test_statistics_travel_with_the_weights():
-    normalizer = ObservationNormalizer(torch.randn(O), torch.rand(O) + 0.5)
-    trained = make_actor(O, A, [6], normalizer=normalizer)
-    fresh = make_actor(O, A, [6], normalizer=ObservationNormalizer.identity(O))
+    normalizer = ObservationNormalizer(torch.randn(OBS), torch.rand(OBS) + 0.5)
+    trained = make_actor(OBS, A, [6], normalizer=normalizer)
+    fresh = make_actor(OBS, A, [6], normalizer=ObservationNormalizer.identity(OBS))
     fresh.load_state_dict(trained.state_dict())
-    observation = TensorDict({"observation": torch.randn(B, O)}, [B])
+    observation = TensorDict({"observation": torch.randn(B, OBS)}, [B])
     torch.testing.assert_close(
         fresh.get_dist(observation).deterministic_sample,
         trained.get_dist(observation).deterministic_sample,
@@ -136,19 +138,19 @@ def test_statistics_travel_with_the_weights():
 
 @pytest.mark.parametrize("part", ["actor", "critic"])
 def test_networks_look_through_their_normaliser(part: str):
-    mean, std = torch.full((O,), 3.0), torch.full((O,), 2.0)
+    mean, std = torch.full((OBS,), 3.0), torch.full((OBS,), 2.0)
     normalizer = ObservationNormalizer(mean, std)
-    observation, action = torch.randn(B, O), torch.randn(B, A)
+    observation, action = torch.randn(B, OBS), torch.randn(B, A)
     torch.manual_seed(1)
     if part == "actor":
-        with_statistics = make_actor(O, A, [6], normalizer=normalizer)[0].module
+        with_statistics = make_actor(OBS, A, [6], normalizer=normalizer)[0].module
         torch.manual_seed(1)
-        without = make_actor(O, A, [6])[0].module
+        without = make_actor(OBS, A, [6])[0].module
         seen, expected = with_statistics(observation)[0], without((observation - mean) / std)[0]
     else:
-        with_statistics = BatchedCritics(O, A, [6], E, normalizer=normalizer)
+        with_statistics = BatchedCritics(OBS, A, [6], E, normalizer=normalizer)
         torch.manual_seed(1)
-        without = BatchedCritics(O, A, [6], E)
+        without = BatchedCritics(OBS, A, [6], E)
         seen = with_statistics(observation, action)
         expected = without((observation - mean) / std, action)
     torch.testing.assert_close(seen, expected)
@@ -156,4 +158,4 @@ def test_networks_look_through_their_normaliser(part: str):
 
 def test_an_empty_ensemble_is_refused():
     with pytest.raises(ValueError, match=r"critic\.num_critics must be at least 1, got 0"):
-        BatchedCritics(O, A, [4], 0)
+        BatchedCritics(OBS, A, [4], 0)

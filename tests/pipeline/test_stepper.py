@@ -57,7 +57,9 @@ def test_each_part_sees_what_the_part_before_it_learned(monkeypatch: pytest.Monk
 
         def called(*arguments):
             changed[part] = {
-                name for name in before if not same(before[name], parameters_of(getattr(loss, name)))
+                name
+                for name in before
+                if not same(before[name], parameters_of(getattr(loss, name)))
             }
             return original(*arguments)
 

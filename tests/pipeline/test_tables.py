@@ -79,7 +79,12 @@ def test_ours_stand_beside_the_papers():
     text = render([evaluation(return_mean=800.04, share_gt_1_35=0.9)])
     first, second = cells(text, "dbc_sac")
     assert first == ["dbc_sac", "3", "1000", "800.0 / 966.7", "0.5 / 86.4", "0.5 / 86.5"]
-    assert second[3:] == ["50.0 % / 99.9 %", "50.0 % / 99.3 %", "50.0 % / 98.2 %", "90.0 % / 94.8 %"]
+    assert second[3:] == [
+        "50.0 % / 99.9 %",
+        "50.0 % / 99.3 %",
+        "50.0 % / 98.2 %",
+        "90.0 % / 94.8 %",
+    ]
 
 
 def test_a_door_that_never_opened_has_no_angle():

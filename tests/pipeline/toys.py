@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +77,7 @@ def write_demos(path: Path, episodes: int = 2, steps: int = 12) -> Path:
     simulator.reset(doors)
     observations = [simulator.observation().copy()]
     actions = rng.uniform(-0.3, 0.3, size=(steps, episodes, task.ACTION_SIZE)).astype(np.float32)
-    for action in actions:
-        observations.append(simulator.step(action).copy())
+    observations += [simulator.step(action).copy() for action in actions]
     simulator.close()
     seen = np.stack(observations, axis=1)
     recorded = [
@@ -125,7 +125,11 @@ def make_batch(rows: int, demo_rows: int | None = None) -> TensorDict:
 
 
 def trajectory(
-    rewards: list[float], *, terminated: list[int] = (), truncated: list[int] = (), tag: float = 0.0
+    rewards: list[float],
+    *,
+    terminated: Sequence[int] = (),
+    truncated: Sequence[int] = (),
+    tag: float = 0.0,
 ) -> TensorDict:
     """Transitions [T] whose observation at time t is ``tag + t``; episodes end where listed."""
     steps = len(rewards)

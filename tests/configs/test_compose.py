@@ -1,0 +1,180 @@
+"""Composition: every variant under every preset, and nothing that the schema does not know."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hydra.errors import ConfigCompositionException, MissingConfigException
+from omegaconf import OmegaConf
+
+from tests.pipeline.toys import compose_config
+
+VARIANTS = ["sac", "bc", "bc_sac", "dbc_sac", "sid_bc", "sid_dbc", "ila_bc", "ila_dbc", "da_sac"]
+PRESETS = ["smoke", "default", "paper"]
+NAMES = {"variant", "preset", "run_dir"}
+
+
+def flat(variant: str, preset: str = "paper", *overrides: str) -> dict[str, Any]:
+    """The composed configuration as dotted keys, less what names the run."""
+
+    def leaves(node: dict[str, Any], prefix: str) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for key, value in node.items():
+            found |= (
+                leaves(value, f"{prefix}{key}.")
+                if isinstance(value, dict)
+                else {prefix + key: value}
+            )
+        return found
+
+    config = OmegaConf.to_container(compose_config(variant, preset, *overrides))
+    assert isinstance(config, dict)
+    return {k: v for k, v in leaves(config, "").items() if k not in NAMES}
+
+
+def changes(variant: str, parent: str, preset: str) -> dict[str, Any]:
+    ours, theirs = flat(variant, preset), flat(parent, preset)
+    return {key: value for key, value in ours.items() if value != theirs[key]}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_variant_composes_with_every_preset(variant: str, preset: str):
+    config = compose_config(variant, preset)
+    assert (config.variant, config.preset) == (variant, preset)
+    assert config.run_dir == f"runs/{variant}-{preset}-seed0"
+    assert not OmegaConf.missing_keys(config)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize(
+    ("variant", "parent", "delta"),
+    [
+        (
+            "dbc_sac",
+            "bc_sac",
+            {"loss.bc_weight.kind": "exponential", "loss.bc_weight.decay": 0.999},
+        ),
+        ("sid_bc", "bc_sac", {"growth.self_imitation": True}),
+        ("sid_dbc", "dbc_sac", {"growth.self_imitation": True}),
+        ("ila_bc", "bc_sac", {"growth.bc_model": True}),
+        ("ila_dbc", "dbc_sac", {"growth.bc_model": True}),
+        ("da_sac", "sac", {"sampler.demo_update_period": 2}),
+    ],
+)
+def test_a_variant_is_its_delta(variant: str, parent: str, delta: dict, preset: str):
+    assert changes(variant, parent, preset) == delta
+
+
+def test_under_the_paper_preset_bc_sac_is_sac_with_imitation():
+    assert changes("bc_sac", "sac", "paper") == {
+        "loss.bc_weight.init": 1.0,
+        "sampler.demo_ratio": 1.0,
+    }
+    assert changes("bc", "bc_sac", "paper").pop("offline") is True
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_sac_sees_no_demonstration(preset: str):
+    config = compose_config("sac", preset)
+    assert config.sampler.demo_ratio == 0
+    assert config.sampler.demo_update_period == 0
+    assert config.loss.bc_weight.init == 0
+    assert config.loss.bc_gradient_ratio is None
+    used = {
+        "pretrain": config.pretrain,
+        "offline": config.offline,
+        "self-imitation": config.growth.self_imitation,
+        "BC model": config.growth.bc_model,
+        "actor's statistics": config.actor.normalise_observations,
+        "critic's statistics": config.critic.normalise_observations,
+    }
+    assert [name for name, on in used.items() if on] == []
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_paper_preset_is_section_iv_b_and_nothing_of_ours(variant: str):
+    config = flat(variant, "paper")
+    paper = {
+        "actor.hidden": [1024, 1024],
+        "critic.hidden": [1024, 1024],
+        "actor.log_std_min": -5.0,
+        "actor.log_std_max": 2.0,
+        "critic.num_critics": 2,
+        "loss.gamma": 0.99,
+        "optim.actor_lr": 1e-5,
+        "optim.critic_lr": 1e-5,
+        "optim.temperature_lr": 1e-5,
+        "bc.lr": 1e-5,
+        "sampler.batch_size": 1024,
+        "collector.total_frames": 100_000,
+        "collector.random_frames": 10_000,
+        "optim.updates_per_frame": 1.0,
+        "collector.frames_per_batch": 1,
+    }
+    stabilisers_off = {
+        "pretrain": False,
+        "demos.multiply.enabled": False,
+        "actor.layer_norm": False,
+        "critic.layer_norm": False,
+        "actor.normalise_observations": False,
+        "critic.normalise_observations": False,
+        "loss.n_step": 1,
+        "loss.reward_scale": 1.0,
+        "loss.entropy_in_target": True,
+        "loss.rl_on_demos": False,
+        "loss.actor_value": "min",
+        "loss.target_subset": None,
+        "loss.bc_gradient_ratio": None,
+        "optim.max_grad_norm": None,
+        "optim.actor_delay": 0,
+    }
+    expected = paper | stabilisers_off
+    assert {key: config[key] for key in expected} == expected
+
+
+@pytest.mark.parametrize("weight", [0.1, 10.0])
+def test_the_papers_other_lambdas_are_one_override_away(weight: float):
+    config = compose_config("bc_sac", "paper", f"loss.bc_weight.init={weight}")
+    assert config.loss.bc_weight.init == weight
+
+
+def test_the_smoke_preset_takes_seconds():
+    config = compose_config("ila_dbc", "smoke")
+    updates = config.collector.total_frames * config.optim.updates_per_frame
+    assert config.collector.total_frames <= 1000
+    assert updates + config.bc.updates <= 500
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["loss.bc_wieght.init=1", "loss.lambda=1", "typo=1", "demos.multiply.speed=2"],
+)
+def test_an_unknown_key_is_an_error(override: str):
+    with pytest.raises(ConfigCompositionException, match="Could not override"):
+        compose_config("bc_sac", "smoke", override)
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "seed=three",
+        "loss.gamma=high",
+        "offline=maybe",
+        "actor.hidden=[a]",
+        "optim.actor_period=1.5",
+    ],
+)
+def test_a_value_of_the_wrong_type_is_an_error(override: str):
+    with pytest.raises(ConfigCompositionException) as caught:
+        compose_config("bc_sac", "smoke", override)
+    assert override.split("=")[0] in f"{caught.value} {caught.value.__cause__}"
+
+
+@pytest.mark.parametrize(("group", "known"), [("variant", VARIANTS), ("preset", PRESETS)])
+def test_an_unknown_choice_lists_the_known_ones(group: str, known: list[str]):
+    choices = {"variant": "bc_sac", "preset": "smoke"} | {group: "imaginary"}
+    with pytest.raises(MissingConfigException, match="imaginary") as caught:
+        compose_config(**choices)
+    assert all(name in str(caught.value) for name in known)

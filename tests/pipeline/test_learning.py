@@ -1,0 +1,58 @@
+"""That the whole thing learns, judged by a statistical test."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import permutation_test
+
+from pipeline.build import build_run
+from pipeline.components import make_evaluator
+from tests.pipeline.toys import compose_config
+
+
+@pytest.mark.slow
+def test_sac_learns_the_pendulum(tmp_path: Path):
+    """Returns of 30 episodes after 8000 frames are better than before, and not by chance."""
+    config = compose_config(
+        "sac",
+        "smoke",
+        f"run_dir='{tmp_path / 'run'}'",
+        "env.name='gymnasium:Pendulum-v1'",
+        "env.num_envs=5",
+        "env.horizon=null",
+        "actor.hidden=[64,64]",
+        "critic.hidden=[64,64]",
+        "loss.n_step=1",
+        "loss.init_temperature=0.1",
+        "loss.entropy_in_target=true",
+        "optim.actor_lr=1e-3",
+        "optim.critic_lr=1e-3",
+        "optim.temperature_lr=1e-3",
+        "optim.updates_per_frame=1.0",
+        "optim.actor_delay=0",
+        "optim.actor_period=1",
+        "sampler.batch_size=128",
+        "collector.total_frames=8000",
+        "collector.frames_per_batch=50",
+        "collector.random_frames=500",
+        "evaluation.interval=0",
+        "logging.checkpoint_interval=100000",
+    )
+    evaluator = make_evaluator(config, episodes=30)
+    run = build_run(config)
+    before = evaluator.run(run.actor).returns
+    run.train()
+    after = evaluator.run(run.actor).returns
+    better = permutation_test(
+        (after, before),
+        lambda x, y, axis: np.mean(x, axis=axis) - np.mean(y, axis=axis),
+        alternative="greater",
+        vectorized=True,
+        n_resamples=9999,
+        rng=np.random.default_rng(0),
+    )
+    assert better.pvalue < 0.001
+    assert np.mean(after) > -400  # a random policy has about -1200, a good one -150

@@ -1,0 +1,284 @@
+"""Checkpoints: a resumed run is the uninterrupted one, and no checkpoint can run code."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torchrl.checkpoint import Checkpoint
+from torchrl.data import TensorDictReplayBuffer
+
+from configs import Config
+from pipeline.buffers import make_buffer
+from pipeline.build import Run, build_run
+from pipeline.checkpoint import latest_checkpoint, load_component, make_checkpoint
+from pipeline.evaluate_run import evaluate_run
+from pipeline.policy import load_policy
+from tests.pipeline.toys import tagged_rows, tiny_config
+
+HALF, WHOLE = 400, 800
+
+
+def long_config(folder: Path, demos: Path, *overrides: str) -> Config:
+    """Self-imitation, 3-step returns; episodes of 30 steps, cut by batches of 25 per door."""
+    return tiny_config(
+        "sid_dbc",
+        folder,
+        demos,
+        "env.horizon=30",
+        "loss.n_step=3",
+        f"collector.total_frames={WHOLE}",
+        "collector.frames_per_batch=50",
+        "evaluation.interval=200",
+        "optim.actor_period=2",
+        "optim.target_period=3",
+        "optim.actor_delay=3",
+        "growth.capacity=150",
+        *overrides,
+    )
+
+
+def everything(run: Run) -> dict[str, Any]:
+    """All tensors and numbers that make a run what it is."""
+    modules = run.trainer._modules
+    stepper = modules["optimization_stepper"]
+    return {
+        "policy": run.actor.state_dict(),
+        "loss": run.trainer.loss_module.state_dict(),
+        "stepper": stepper.state_dict(),
+        "main": modules["main_buffer"][:].to_dict(),
+        "grown": modules["grown_buffer"][:].to_dict(),
+        "records": modules["grown"].state_dict(),
+        "episodes": modules["episodes"].state_dict(),
+        "evaluation": modules["evaluation"].state_dict(),
+        "frames": run.trainer.collected_frames,
+        "rng": torch.get_rng_state(),
+    }
+
+
+def differences(left: Any, right: Any, where: str = "") -> list[str]:
+    """Paths at which two nested states differ in a single bit."""
+    if isinstance(left, dict):
+        if set(left) != set(right):
+            return [f"{where}: {set(left) ^ set(right)}"]
+        return [
+            found for key in left for found in differences(left[key], right[key], f"{where}.{key}")
+        ]
+    if isinstance(left, (list, tuple)):
+        if len(left) != len(right):
+            return [f"{where}: {len(left)} and {len(right)} entries"]
+        pairs = zip(left, right, strict=True)
+        return [
+            found for i, pair in enumerate(pairs) for found in differences(*pair, f"{where}[{i}]")
+        ]
+    if isinstance(left, torch.Tensor):
+        equal = left.shape == right.shape and torch.equal(left.nan_to_num(-7), right.nan_to_num(-7))
+        return [] if equal else [where]
+    return [] if left == right else [where]
+
+
+def interrupted(config: Config) -> Run:
+    """A run that is stopped half-way, as by a power cut just after its checkpoint."""
+    run = build_run(config)
+    run.trainer.total_frames = HALF
+    run.train()
+    return run
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory, demos: Path) -> tuple[dict, list[str]]:
+    run = build_run(long_config(tmp_path_factory.mktemp("whole"), demos))
+    run.train()
+    return everything(run), (run.run_dir / "learning_curve.jsonl").read_text().splitlines()
+
+
+@pytest.fixture(scope="module")
+def half(tmp_path_factory: pytest.TempPathFactory, demos: Path) -> Path:
+    """The directory of an interrupted run; copy it, do not write to it."""
+    return interrupted(long_config(tmp_path_factory.mktemp("half"), demos)).run_dir
+
+
+@pytest.fixture
+def stopped(half: Path, tmp_path: Path) -> Path:
+    folder = tmp_path / half.name
+    shutil.copytree(half, folder)
+    return folder
+
+
+def resumed(folder: Path, demos: Path, *overrides: str) -> Run:
+    config = long_config(folder.parent, demos, *overrides)
+    assert Path(config.run_dir) == folder
+    torch.manual_seed(4321)  # whatever happened before must not matter
+    return build_run(config, resume=True)
+
+
+def test_a_resumed_run_is_the_uninterrupted_one(
+    uninterrupted: tuple[dict, list[str]], stopped: Path, demos: Path
+):
+    run = resumed(stopped, demos)
+    assert run.trainer.collected_frames == HALF
+    assert part_open(run), "the cut must be in the middle of episodes for this to say anything"
+    run.train()
+    expected, curve = uninterrupted
+    assert len(expected["records"]["records"]) == 5  # the ring of 150 rows has evicted some
+    assert differences(everything(run), expected) == []
+    assert (stopped / "learning_curve.jsonl").read_text().splitlines() == curve
+
+
+def part_open(run: Run) -> dict:
+    return run.trainer._modules["episodes"].assembler.state_dict()
+
+
+def test_a_finished_run_can_be_trained_for_longer(stopped: Path, demos: Path):
+    run = resumed(stopped, demos, f"collector.total_frames={WHOLE + 100}")
+    run.train()
+    assert run.trainer.collected_frames == WHOLE + 100
+    assert len(run.trainer._modules["main_buffer"]) == WHOLE + 100
+
+
+def test_resuming_a_run_that_is_complete_changes_nothing(tmp_path: Path, demos: Path):
+    config = tiny_config("sac", tmp_path, demos)
+    build_run(config).train()
+    before = [path.stat().st_mtime_ns for path in sorted((tmp_path / "sac").rglob("*.json"))]
+    again = build_run(config, resume=True)
+    again.train()
+    assert again.trainer.collected_frames == 40
+    after = [path.stat().st_mtime_ns for path in sorted((tmp_path / "sac").rglob("*.json"))]
+    assert after == before
+
+
+def test_a_checkpoint_may_come_before_the_first_good_episode(tmp_path: Path, demos: Path):
+    config = tiny_config("sid_bc", tmp_path, demos, "growth.admission.min_return=1e9")
+    run = build_run(config)
+    run.trainer.total_frames = 20
+    run.train()
+    again = build_run(config, resume=True)
+    again.train()
+    assert again.trainer.collected_frames == 40
+    assert len(again.trainer._modules["grown_buffer"]) == 0
+
+
+@pytest.mark.parametrize(("stored", "capacity"), [(3, 5), (7, 5), (7, 9)])
+def test_a_ring_goes_on_where_it_was(stored: int, capacity: int, tmp_path: Path):
+    def checkpoint(buffer: TensorDictReplayBuffer) -> Checkpoint:
+        return make_checkpoint(torch.nn.Linear(1, 1), buffer)
+
+    def tags(buffer: TensorDictReplayBuffer) -> list[float]:
+        return buffer[:]["observation"][:, 0].tolist()
+
+    first = make_buffer(5)
+    for tag in range(stored):
+        first.extend(tagged_rows(float(tag), 1))
+    checkpoint(first).save(tmp_path / "saved")
+    second = make_buffer(capacity)
+    second.extend(tagged_rows(99.0, 2))
+    checkpoint(second).load(tmp_path / "saved")
+    assert tags(second) == tags(first)
+    for buffer in (first, second):
+        buffer.extend(tagged_rows(50.0, 1))
+    larger = [5.0, 6.0, 2.0, 3.0, 4.0, 50.0]
+    assert tags(second) == (larger if capacity == 9 else tags(first))
+
+
+def test_only_the_newest_checkpoint_is_kept(stopped: Path, demos: Path):
+    resumed(stopped, demos).train()
+    assert [path.name for path in (stopped / "checkpoints").iterdir()] == [
+        f"checkpoint-{WHOLE:012d}"
+    ]
+
+
+def test_a_checkpoint_holds_no_pickles(stopped: Path):
+    names = {path.name for path in latest_checkpoint(stopped).rglob("*") if path.is_file()}
+    assert {name for name in names if name.endswith((".pkl", ".pickle", ".pt"))} == set()
+
+
+class Evil:
+    """Leaves a trace when it is unpickled."""
+
+    def __init__(self, trace: Path) -> None:
+        self.trace = trace
+
+    def __reduce__(self) -> tuple:
+        return (Path.touch, (self.trace,))
+
+
+@pytest.mark.parametrize("component", ["trainer_module.main_buffer", "policy"])
+@pytest.mark.parametrize("name", ["prefetch.pkl", "other.pickle"])
+def test_a_pickle_in_a_checkpoint_is_refused_and_not_read(
+    component: str, name: str, stopped: Path, demos: Path, tmp_path: Path
+):
+    trace = tmp_path / "trace"
+    (folder,) = latest_checkpoint(stopped).glob(f"components/*-{component}")
+    (folder / name).write_bytes(pickle.dumps(Evil(trace)))
+    with pytest.raises(ValueError, match=rf"holds {name}\. Checkpoints of this project hold no"):
+        resumed(stopped, demos)
+    assert not trace.exists()
+
+
+def test_nothing_is_unpickled(stopped: Path, demos: Path, monkeypatch: pytest.MonkeyPatch):
+    def forbidden(*_arguments: object, **_options: object) -> None:
+        raise AssertionError("unpickled")
+
+    for name in ("load", "loads", "Unpickler"):
+        monkeypatch.setattr(pickle, name, forbidden)
+    resumed(stopped, demos)
+    evaluate_run(stopped, episodes=1)
+
+
+def test_another_architecture_is_named_with_the_remedy(stopped: Path, demos: Path):
+    with pytest.raises(
+        ValueError, match=r"(?s)does not fit .*\(config\.yaml beside its checkpoints\)"
+    ):
+        resumed(stopped, demos, "actor.hidden=[16]")
+    with pytest.raises(
+        ValueError, match=r"(?s)does not fit .*\(config\.yaml beside its checkpoints\)"
+    ):
+        evaluate_run(stopped, ["actor.hidden=[16,16]"])
+
+
+def test_a_damaged_checkpoint_is_named(stopped: Path):
+    latest = latest_checkpoint(stopped)
+    (latest / "manifest.json").write_text("{")
+    with pytest.raises(ValueError, match=rf"Checkpoint {latest} does not fit .* or is damaged"):
+        load_component(latest, "policy", torch.nn.Linear(1, 1))
+
+
+def test_a_run_without_a_checkpoint_is_named(tmp_path: Path, demos: Path):
+    config = tiny_config("sac", tmp_path, demos)
+    run = build_run(config)
+    with pytest.raises(FileNotFoundError, match=r"sac holds no checkpoint .* is it a run"):
+        load_policy(config, run.run_dir)
+    with pytest.raises(FileNotFoundError, match="holds no checkpoint"):
+        build_run(config, resume=True)
+
+
+def test_an_offline_run_resumes(tmp_path: Path, demos: Path):
+    def trained(folder: str, stop_at: int | None) -> Run:
+        config = tiny_config("bc", tmp_path / folder, demos, "bc.updates=200")
+        run = build_run(config)
+        if stop_at is not None:
+            run.trainer.total_frames = stop_at
+            run.train()
+            torch.manual_seed(4321)
+            run = build_run(config, resume=True)
+        run.train()
+        return run
+
+    whole, halved = trained("whole", None), trained("halved", 100)
+    assert differences(halved.actor.state_dict(), whole.actor.state_dict()) == []
+
+
+def test_a_task_that_cannot_be_restored_starts_fresh_episodes(tmp_path: Path, demos: Path):
+    options = ["env.name='gymnasium:Pendulum-v1'", "collector.total_frames=80"]
+    config = tiny_config("sac", tmp_path, demos, *options)
+    run = build_run(config)
+    run.trainer.total_frames = 40
+    run.train()
+    again = build_run(config, resume=True)
+    again.train()
+    assert again.trainer.collected_frames == 80
+    assert len(again.trainer._modules["main_buffer"]) == 80

@@ -1,0 +1,261 @@
+"""Whole runs, composed from configuration and trained for a few frames."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from configs import Config
+from pipeline.build import Run, behaviour_cloned, build_run
+from pipeline.components import make_demonstrations, make_rows
+from pipeline.evaluate_run import evaluate_run
+from pipeline.policy import load_policy
+from pipeline.run_dir import (
+    CONFIG,
+    LEARNING_CURVE,
+    VERSIONS,
+    RunDirectoryError,
+    load_config,
+    write_atomically,
+)
+from tests.pipeline.toys import parameters_of, same, tiny_config
+
+VARIANTS = ["sac", "bc", "bc_sac", "dbc_sac", "sid_bc", "sid_dbc", "ila_bc", "ila_dbc", "da_sac"]
+
+
+def part(run: Run, name: str):
+    """What the trainer checkpoints under ``name``."""
+    return run.trainer._modules[name]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_variant_trains_and_is_evaluated(variant: str, tmp_path: Path, demos: Path):
+    run = build_run(tiny_config(variant, tmp_path, demos, "evaluation.interval=20"))
+    before = parameters_of(run.actor)
+    run.train()
+    assert not same(before, parameters_of(run.actor))
+    assert all(parameter.isfinite().all() for parameter in run.actor.parameters())
+    lines = (run.run_dir / LEARNING_CURVE).read_text().splitlines()
+    curve = [json.loads(line)["frames"] for line in lines]
+    assert curve == ([100] if variant == "bc" else [20, 40])
+
+    result = evaluate_run(run.run_dir, episodes=2)
+    assert result["episodes"] == 2
+    assert result["made_from"]["variant"] == variant
+    loaded, _ = load_policy(run.config, run.run_dir)
+    assert same(parameters_of(run.actor), parameters_of(loaded))
+
+
+@pytest.mark.parametrize("env", ["gymnasium:Pendulum-v1", "dm_control:cheetah/run"])
+def test_sac_runs_on_other_tasks_without_a_change(env: str, tmp_path: Path, demos: Path):
+    config = tiny_config("sac", tmp_path, demos, f"env.name='{env}'", "demos.source=nowhere.h5")
+    run = build_run(config)
+    run.train()
+    assert len(part(run, "main_buffer")) == 40
+    result = evaluate_run(run.run_dir, episodes=2)
+    assert result["length_mean"] == 10.0
+
+
+def test_the_random_frames_are_kept(tmp_path: Path, demos: Path):
+    """The trap: TorchRL's own storing hooks do not run until the random frames are collected."""
+    run = build_run(tiny_config("sac", tmp_path, demos, "collector.random_frames=20"))
+    run.train()
+    buffer = part(run, "main_buffer")
+    assert len(buffer) == 40
+    # Uniform actions: |a| is 1/2 on average, and the largest of many is close to 1.
+    actions = buffer[:20]["action"].abs()
+    assert actions.mean() == pytest.approx(0.5, abs=0.05)
+    # Learning begins with the batch that completes them.
+    assert part(run, "optimization_stepper").critic_updates == 4
+
+
+def test_da_sac_updates_on_the_demonstrations_every_other_time(tmp_path: Path, demos: Path):
+    plain = build_run(tiny_config("sac", tmp_path, demos))
+    with_demos = build_run(tiny_config("da_sac", tmp_path, demos))
+    for run in (plain, with_demos):
+        run.train()
+    ordinary = part(plain, "optimization_stepper").critic_updates
+    assert ordinary == 4  # 40 frames, 0.1 updates per frame
+    assert part(with_demos, "optimization_stepper").critic_updates == ordinary + ordinary // 2
+
+
+def test_sid_admits_the_policys_own_episodes(tmp_path: Path, demos: Path):
+    run = build_run(tiny_config("sid_bc", tmp_path, demos))
+    run.train()
+    records = part(run, "grown").grown.records
+    # 2 doors, episodes of 10 steps, 40 frames: both doors end one with each batch of 20.
+    assert [(record.source, record.length, record.frame) for record in records] == [
+        ("policy", 10, frame) for frame in (20, 20, 40, 40)
+    ]
+    assert len(part(run, "grown_buffer")) == 40
+
+
+def test_ild_admits_the_bc_models_episodes_before_training(tmp_path: Path, demos: Path):
+    run = build_run(tiny_config("ila_bc", tmp_path, demos))
+    records = list(part(run, "grown").grown.records)
+    assert [(record.source, record.frame) for record in records] == [("bc_model", 0)] * 2
+    run.train()
+    assert list(part(run, "grown").grown.records) == records
+
+
+def test_ild_without_a_good_episode_says_what_to_do(tmp_path: Path, demos: Path):
+    config = tiny_config("ila_bc", tmp_path, demos, "growth.admission.min_return=1e9")
+    with pytest.raises(ValueError, match=r"None of 2 episodes .* growth\.admission; lower"):
+        build_run(config)
+
+
+def test_the_bc_model_is_trained_once_and_then_cached(tmp_path: Path, demos: Path):
+    config = tiny_config("bc_sac", tmp_path, demos)
+    rows = make_rows(config.loss)
+    loaded = make_demonstrations(config.demos, rows, cache_dir=tmp_path / "cache", num_threads=1)
+    trained = behaviour_cloned(config, loaded)
+    (model,) = (tmp_path / "cache").glob("bc-*")
+    checkpoint = {path: path.stat().st_mtime_ns for path in model.rglob("*")}
+    torch.manual_seed(99)
+    before = torch.get_rng_state()
+    cached = behaviour_cloned(config, loaded)
+    assert same(parameters_of(trained), parameters_of(cached))
+    assert {path: path.stat().st_mtime_ns for path in model.rglob("*")} == checkpoint
+    assert torch.equal(torch.get_rng_state(), before)
+    config.bc.lr = 0.5
+    behaviour_cloned(config, loaded)
+    assert len(list((tmp_path / "cache").glob("bc-*"))) == 2
+
+
+@pytest.mark.parametrize("pretrain", [True, False])
+def test_pretraining_starts_from_the_bc_model(pretrain: bool, tmp_path: Path, demos: Path):
+    config = tiny_config("bc_sac", tmp_path, demos, f"pretrain={str(pretrain).lower()}")
+    run = build_run(config)
+    rows = make_rows(config.loss)
+    loaded = make_demonstrations(config.demos, rows, cache_dir=tmp_path / "cache", num_threads=1)
+    model = behaviour_cloned(config, loaded)
+    assert same(parameters_of(run.actor), parameters_of(model)) is pretrain
+
+
+def test_the_seed_decides_the_run(tmp_path: Path, demos: Path):
+    def trained(folder: str, seed: int) -> list[torch.Tensor]:
+        run = build_run(tiny_config("sac", tmp_path / folder, demos, f"seed={seed}"))
+        run.train()
+        return parameters_of(run.actor)
+
+    first = trained("a", 1)
+    torch.manual_seed(1234)
+    assert same(first, trained("b", 1))
+    assert not same(first, trained("c", 2))
+
+
+def test_the_run_directory_says_what_was_run(tmp_path: Path, demos: Path):
+    config = tiny_config("dbc_sac", tmp_path, demos, "seed=7", "loss.bc_weight.init=3")
+    run = build_run(config)
+    saved = OmegaConf.load(run.run_dir / CONFIG)
+    assert OmegaConf.to_container(saved) == OmegaConf.to_container(config)
+    assert "${" not in (run.run_dir / CONFIG).read_text()
+    assert load_config(run.run_dir) == config
+    versions = json.loads((run.run_dir / VERSIONS).read_text())
+    assert versions["packages"]["torch"] == torch.__version__
+    assert {"python", "git", "git_dirty"} <= set(versions)
+
+
+def test_a_run_directory_that_exists_is_left_alone(tmp_path: Path, demos: Path):
+    config = tiny_config("sac", tmp_path, demos)
+    Path(config.run_dir).mkdir(parents=True)
+    with pytest.raises(RunDirectoryError, match=r"exists\. Continue it with RESUME=.*or choose"):
+        build_run(config)
+    assert list(Path(config.run_dir).iterdir()) == []
+
+
+def test_a_run_directory_that_cannot_be_written_names_the_remedy(
+    tmp_path: Path, demos: Path, monkeypatch: pytest.MonkeyPatch
+):
+    config = tiny_config("sac", tmp_path, demos)
+
+    def refused(self: Path, *_arguments: object, **_options: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "mkdir", refused)
+    with pytest.raises(RunDirectoryError, match=r"sac cannot be written \(Permission denied\)"):
+        build_run(config)
+
+
+def test_writing_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = tmp_path / "evaluation.json"
+    write_atomically(path, "old")
+
+    def torn(self: Path, text: str) -> None:
+        with self.open("w") as file:
+            file.write(text[:1])
+        raise OSError("disk full")
+
+    monkeypatch.setattr(Path, "write_text", torn)
+    with pytest.raises(OSError, match="disk full"):
+        write_atomically(path, "new")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("variant", "override", "message"),
+    [
+        ("sac", "optim.updates_per_frame=0.01", r"optim\.updates_per_frame \(0\.01\) times"),
+        ("sac", "optim.updates_per_frame=0.33", "must be a whole number of at least 1, got 6.6"),
+        ("sac", "evaluation.exploration=random", r"evaluation\.exploration must be one of"),
+        ("sac", "logging.loggers=[csv,neptune]", r"logging\.loggers: unknown \['neptune'\]"),
+        ("sac", "loss.actor_value=max", "actor_value must be min or mean"),
+        ("sac", "loss.imitation=l1", "imitation must be nll or mse"),
+        ("sac", "env.name=window", "unknown environment 'window'; valid: door, gymnasium:ID"),
+        ("sac", "loss.bc_weight.kind=quadratic", "quadratic"),
+        ("sac", "optim.target_period=0", r"optim\.target_period must be at least 1"),
+        ("sid_bc", "growth.admission.min_return=null", r"growth\.admission admits every episode"),
+        ("sac", "sampler.batch_size=0", "A batch needs rows"),
+    ],
+)
+def test_values_that_make_no_sense_are_named(
+    variant: str, override: str, message: str, tmp_path: Path, demos: Path
+):
+    config = tiny_config(variant, tmp_path, demos, override)
+    with pytest.raises(ValueError, match=message):
+        build_run(config)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "at", "expected"),
+    [
+        ("constant", {"init": 3.0}, 5, 3.0),
+        ("exponential", {"init": 2.0, "decay": 0.5}, 3, 0.25),
+        ("linear", {"init": 1.0, "final": 0.0, "duration": 4}, 1, 0.75),
+        ("cosine", {"init": 1.0, "final": 0.0, "duration": 4}, 2, 0.5),
+        ("piecewise", {"init": "null", "milestones": "[2,4]", "values": "[1,2,3]"}, 4, 3.0),
+    ],
+)
+def test_every_schedule_can_be_configured(
+    kind: str, values: dict, at: int, expected: float, tmp_path: Path, demos: Path
+):
+    overrides = [f"loss.bc_weight.{key}={value}" for key, value in values.items()]
+    config = tiny_config("bc_sac", tmp_path, demos, f"loss.bc_weight.kind={kind}", *overrides)
+    loss = build_run(config).trainer.loss_module
+    loss.updates = at
+    assert loss.current_bc_weight == pytest.approx(expected)
+
+
+def test_a_run_composed_without_hydra(tmp_path: Path, demos: Path):
+    """Plain dataclasses will do: nothing in the pipeline needs a DictConfig."""
+    config = Config(variant="mine", preset="mine", run_dir=str(tmp_path / "run"))
+    config.cache_dir = str(tmp_path / "cache")
+    config.demos.source = str(demos)
+    config.env.num_threads, config.env.horizon = 1, 10
+    config.actor.hidden = config.critic.hidden = [8]
+    config.loss.bc_weight.init = 0.5
+    config.sampler.batch_size, config.sampler.demo_ratio = 8, 0.5
+    config.collector.total_frames = config.collector.frames_per_batch = 10
+    config.collector.random_frames = 0
+    config.evaluation.interval = 0
+    config.logging.loggers, config.logging.progress = ["csv"], False
+    run = build_run(config)
+    run.train()
+    assert run.trainer.loss_module.current_bc_weight == 0.5
+    assert part(run, "optimization_stepper").critic_updates == 10
+    assert not (run.run_dir / LEARNING_CURVE).exists()
