@@ -5,6 +5,7 @@
 buffers: the paper's rows).  A key that the schema does not know is an error.
 """
 
+from configs.composition import compose_config
 from configs.schema import Config, register_schema
 
-__all__ = ["Config", "register_schema"]
+__all__ = ["Config", "compose_config", "register_schema"]

@@ -100,6 +100,7 @@ class LossConfig:
     action_margin: float = 1e-2  # demonstrated actions are clamped to +-(1 - action_margin)
     tau: float = 0.005
     bc_weight: WeightConfig = field(default_factory=WeightConfig)
+    bc_decay: float = 0.999  # alpha that the DBC variants give to bc_weight (paper IV-C.4)
     bc_gradient_ratio: float | None = None  # if set: bc_weight(n) * ratio * |g_RL| / |g_BC|
 
 

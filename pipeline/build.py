@@ -313,6 +313,8 @@ def _updates_per_batch(config: Config) -> int:
 def _actor_updates(config: Config) -> int:
     learning_frames = config.collector.total_frames - config.collector.random_frames
     critic_updates = round(config.optim.updates_per_frame * learning_frames)
+    if config.sampler.demo_update_period:
+        critic_updates += critic_updates // config.sampler.demo_update_period
     return max(critic_updates - config.optim.actor_delay, 0) // config.optim.actor_period
 
 

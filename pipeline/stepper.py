@@ -9,10 +9,10 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torch.optim.lr_scheduler import ConstantLR, CosineAnnealingLR, LRScheduler
+from torch.optim.lr_scheduler import ConstantLR, LambdaLR, LRScheduler
 from torchrl.trainers import OptimizationStepper, Trainer
 
-from losses import BCSACLoss
+from losses import BCSACLoss, CosineWeight
 
 METRICS = (
     "loss_qvalue",
@@ -225,7 +225,9 @@ def _adam(parameters: Iterable[nn.Parameter], lr: float) -> torch.optim.Adam:
 def _annealing(optimizer: torch.optim.Optimizer, updates: int | None) -> LRScheduler:
     if updates is None:
         return ConstantLR(optimizer, factor=1.0)
-    return CosineAnnealingLR(optimizer, T_max=max(updates, 1))
+    # Not CosineAnnealingLR, whose rate rises again if there are more updates than that.
+    share = CosineWeight(init=1.0, final=0.0, duration=max(updates, 1))
+    return LambdaLR(optimizer, lambda update: share(update))
 
 
 def _norm(tensors: Iterable[Tensor]) -> Tensor:

@@ -8,10 +8,16 @@ import pytest
 from hydra.errors import ConfigCompositionException, MissingConfigException
 from omegaconf import OmegaConf
 
-from tests.pipeline.toys import compose_config
+import configs
 
 VARIANTS = ["sac", "bc", "bc_sac", "dbc_sac", "sid_bc", "sid_dbc", "ila_bc", "ila_dbc", "da_sac"]
 PRESETS = ["smoke", "default", "paper"]
+
+
+def compose_config(variant: str, preset: str, *overrides: str) -> configs.Config:
+    return configs.compose_config(f"variant={variant}", f"preset={preset}", *overrides)
+
+
 NAMES = {"variant", "preset", "run_dir"}
 
 

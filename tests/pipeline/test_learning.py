@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from scipy.stats import permutation_test
 
+from configs import compose_config
 from pipeline.build import build_run
 from pipeline.components import make_evaluator
-from tests.pipeline.toys import compose_config
 
 
 @pytest.mark.slow
 def test_sac_learns_the_pendulum(tmp_path: Path):
     """Returns of 30 episodes after 8000 frames are better than before, and not by chance."""
     config = compose_config(
-        "sac",
-        "smoke",
+        "variant=sac",
+        "preset=smoke",
         f"run_dir='{tmp_path / 'run'}'",
         "env.name='gymnasium:Pendulum-v1'",
         "env.num_envs=5",

@@ -37,6 +37,7 @@ def long_config(folder: Path, demos: Path, *overrides: str) -> Config:
         "optim.actor_period=2",
         "optim.target_period=3",
         "optim.actor_delay=3",
+        "optim.anneal_actor=true",
         "growth.capacity=150",
         *overrides,
     )

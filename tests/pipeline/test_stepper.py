@@ -224,26 +224,66 @@ def test_the_temperature_moves_only_if_it_is_learned():
         assert torch.equal(before, loss.log_alpha.detach()) is not learned
 
 
-def test_a_step_goes_on_from_its_state():
+def movements(actor: nn.Module, step, times: int) -> list[float]:
+    """How far each of several steps moves the actor's weights."""
+    moved, before = [], flat(parameters_of(actor))
+    for _ in range(times):
+        step()
+        after = flat(parameters_of(actor))
+        moved.append((after - before).norm().item())
+        before = after
+    return moved
+
+
+@pytest.mark.parametrize("imitation", [True, False])
+def test_an_annealed_rate_goes_to_zero_and_stays_there(imitation: bool):
+    loss = make_loss()
+    batch = make_batch(8, 4)
+    if imitation:
+        stepper = ImitationStepper(loss, actor_lr=1e-2, anneal_updates=4)
+    else:
+        stepper = make_stepper(loss, anneal_updates=4)
+    moved = movements(loss.actor, lambda: stepper.step(None, batch), 7)
+    assert min(moved[:4]) > 0
+    assert moved[3] < 0.4 * moved[0]
+    assert moved[4:] == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("imitation", [True, False])
+def test_a_rate_is_constant_unless_annealed(imitation: bool):
+    """Adam's steps have the size of its rate while the gradient keeps its direction."""
+    loss = make_loss()
+    batch = make_batch(8, 4)
+    stepper = ImitationStepper(loss, actor_lr=1e-4) if imitation else make_stepper(loss)
+    optimizer = stepper.optimizer if imitation else stepper.optimizers["actor"]
+    rates = []
+    for _ in range(8):
+        rates.append(optimizer.param_groups[0]["lr"])
+        stepper.step(None, batch)
+    assert len(set(rates)) == 1
+
+
+@pytest.mark.parametrize("anneal_updates", [None, 3])
+def test_a_step_goes_on_from_its_state(anneal_updates: int | None):
     rhythm = StepRhythm(actor_period=2, target_period=4, diagnostics_period=2)
     torch.manual_seed(1)
     batches = [make_batch(6, 2) for _ in range(7)]
     whole = make_loss()
     halved = deepcopy(whole)
-    first = make_stepper(halved, rhythm=rhythm)
-    for loss, stepper in ((whole, make_stepper(whole, rhythm=rhythm)), (halved, first)):
+    options = {"rhythm": rhythm, "anneal_updates": anneal_updates}
+    first = make_stepper(halved, **options)
+    for loss, stepper in ((whole, make_stepper(whole, **options)), (halved, first)):
         torch.manual_seed(5)
         for batch in batches[:3]:
             stepper.step(None, batch)
         if loss is whole:
-            for batch in batches[3:]:
-                expected = stepper.step(None, batch)
-    second = make_stepper(halved, rhythm=rhythm)
+            expected = [stepper.step(None, batch) for batch in batches[3:]]
+    second = make_stepper(halved, **options)
     second.load_state_dict(deepcopy(first.state_dict()))
-    for batch in batches[3:]:
-        metrics = second.step(None, batch)
+    metrics = [second.step(None, batch) for batch in batches[3:]]
     assert same(parameters_of(whole), parameters_of(halved))
-    assert (metrics == expected).all()
+    # Those that the first steps do not compute, too.
+    assert all((mine == theirs).all() for mine, theirs in zip(metrics, expected, strict=True))
 
 
 def test_imitation_alone_fits_the_demonstrations_and_touches_nothing_else():
@@ -261,8 +301,9 @@ def test_imitation_goes_on_from_its_state():
     whole = make_loss()
     halved = deepcopy(whole)
     batch = make_batch(8, 8)
-    first, second = (ImitationStepper(halved, actor_lr=1e-2) for _ in range(2))
-    stepper = ImitationStepper(whole, actor_lr=1e-2)
+    options = {"actor_lr": 1e-2, "anneal_updates": 8}
+    first, second = (ImitationStepper(halved, **options) for _ in range(2))
+    stepper = ImitationStepper(whole, **options)
     for _ in range(6):
         stepper.step(None, batch)
     for _ in range(3):

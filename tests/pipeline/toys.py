@@ -8,12 +8,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from hydra import compose, initialize_config_module
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import OmegaConf, open_dict
 from tensordict import TensorDict
 
-from configs import Config, register_schema
+from configs import Config, compose_config
 from envs.demonstrations import Episode, Provenance, write_recording
 from envs.door import task
 from envs.door.simulator import DoorSimulator
@@ -23,7 +20,6 @@ from pipeline.networks import BatchedCritics, make_actor
 
 OBSERVATION_SIZE = 3
 ACTION_SIZE = 2
-register_schema()
 
 TINY = (
     "env.num_threads=1",
@@ -41,26 +37,11 @@ TINY = (
 """Overrides of the smoke preset under which a run takes a fraction of a second."""
 
 
-def compose_config(variant: str, preset: str, *overrides: str) -> Config:
-    """The resolved configuration that ``make train`` would run."""
-    with initialize_config_module("configs", version_base="1.3"):
-        config = compose(
-            "train",
-            [f"variant={variant}", f"preset={preset}", *overrides],
-            return_hydra_config=True,
-        )
-        HydraConfig.instance().set_config(config)
-        with open_dict(config):
-            del config["hydra"]
-        OmegaConf.resolve(config)
-    return config  # type: ignore[return-value]
-
-
 def tiny_config(variant: str, folder: Path, demos: Path, *overrides: str) -> Config:
     """A run of 40 frames below ``folder``."""
     return compose_config(
-        variant,
-        "smoke",
+        f"variant={variant}",
+        "preset=smoke",
         *TINY,
         f"run_dir='{folder / variant}'",
         f"cache_dir='{folder / 'cache'}'",
