@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from filelock import FileLock
 from omegaconf import OmegaConf
 from torchrl.checkpoint import Checkpoint
 from torchrl.collectors import Collector
@@ -226,20 +227,22 @@ def behaviour_cloned(config: Config, demos: Demonstrations | None) -> Probabilis
     run_dir = Path(config.cache_dir) / f"bc-{digest}"
     complete = run_dir / "complete"
     bc_config.run_dir = str(run_dir)
-    started = run_dir.exists()
-    if not started:
-        create_run_dir(run_dir, bc_config)
+    run_dir.parent.mkdir(parents=True, exist_ok=True)
     rng = torch.random.get_rng_state()
-    seed_everything(config.seed)
-    run = build_offline(bc_config, run_dir, demos)
-    if complete.exists():
-        load_component(latest_checkpoint(run_dir), "policy", run.actor)
-    else:
-        checkpoint = make_rotation(run_dir).latest()
-        if checkpoint is not None:
-            load_trainer(checkpoint, run.trainer)
-        run.train()
-        complete.touch()
+    # Runs that start together (a sweep over variants) want the same model: one trains it.
+    with FileLock(f"{run_dir}.lock"):
+        if not run_dir.exists():
+            create_run_dir(run_dir, bc_config)
+        seed_everything(config.seed)
+        run = build_offline(bc_config, run_dir, demos)
+        if complete.exists():
+            load_component(latest_checkpoint(run_dir), "policy", run.actor)
+        else:
+            checkpoint = make_rotation(run_dir).latest()
+            if checkpoint is not None:
+                load_trainer(checkpoint, run.trainer)
+            run.train()
+            complete.touch()
     torch.random.set_rng_state(rng)
     return run.actor
 
