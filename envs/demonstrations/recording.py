@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -46,8 +45,8 @@ def write_recording(path: str | Path, episodes: Sequence[Episode], card: Mapping
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     # A crash half-way, or two processes filling one cache, must never leave a torn file behind.
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".tmp")
-    os.close(handle)
+    # Not tempfile: its files are private to their owner, and a recording is there to be shared.
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with h5py.File(temporary, "w") as file:
             file.attrs.update(
@@ -59,7 +58,7 @@ def write_recording(path: str | Path, episodes: Sequence[Episode], card: Mapping
                 _write_episode(file.create_group(f"episode_{index:05d}"), episode)
         os.replace(temporary, path)
     finally:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
 
 
 def read_card(path: str | Path) -> dict[str, Any]:

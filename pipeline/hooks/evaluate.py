@@ -31,6 +31,7 @@ class EvaluationHook(TrainerHookBase):
         self.interval = interval
         self.path = path
         self.next_frame = 0
+        self.last_frame = -1
         self._trainer: Trainer | None = None
 
     def __call__(self, _batch: TensorDictBase | None = None) -> dict[str, Any] | None:
@@ -44,22 +45,30 @@ class EvaluationHook(TrainerHookBase):
 
     def evaluate(self, frames: int) -> dict[str, Any]:
         """Evaluates now."""
+        self.last_frame = frames
         metrics = as_scalars(self.evaluator.run(self.policy).metrics())
         with self.path.open("a") as file:
             file.write(json.dumps({"frames": frames, **metrics}) + "\n")
         scalars = {f"eval/{k}": v for k, v in metrics.items() if isinstance(v, (int, float))}
         return {**scalars, "log_pbar": False}
 
+    def finish(self) -> None:
+        """Evaluates the last policy too, wherever the run ends between two evaluations."""
+        if self._trainer is not None and self._trainer.collected_frames != self.last_frame:
+            self.evaluate(self._trainer.collected_frames)
+
     def register(self, trainer: Trainer, name: str = "evaluation") -> None:
-        """Registers at ``post_steps_log``."""
+        """Registers at ``post_steps_log`` and ``shutdown``."""
         self._trainer = trainer
         trainer.register_module(name, self)
         trainer.register_op("post_steps_log", self)
+        trainer.register_op("shutdown", self.finish)
 
     def state_dict(self) -> dict[str, Any]:
-        """When the next evaluation is due."""
-        return {"next_frame": self.next_frame}
+        """When the next evaluation is due and when the last one was."""
+        return {"next_frame": self.next_frame, "last_frame": self.last_frame}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""
         self.next_frame = state["next_frame"]
+        self.last_frame = state["last_frame"]
