@@ -57,11 +57,6 @@ def test_every_variant_composes_with_every_preset(variant: str, preset: str):
 @pytest.mark.parametrize(
     ("variant", "parent", "delta"),
     [
-        (
-            "dbc_sac",
-            "bc_sac",
-            {"loss.bc_weight.kind": "exponential", "loss.bc_weight.decay": 0.999},
-        ),
         ("sid_bc", "bc_sac", {"growth.self_imitation": True}),
         ("sid_dbc", "dbc_sac", {"growth.self_imitation": True}),
         ("ila_bc", "bc_sac", {"growth.bc_model": True}),
@@ -71,6 +66,18 @@ def test_every_variant_composes_with_every_preset(variant: str, preset: str):
 )
 def test_a_variant_is_its_delta(variant: str, parent: str, delta: dict, preset: str):
     assert changes(variant, parent, preset) == delta
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_dbc_sac_lets_the_weight_decay(preset: str):
+    decay = {"loss.bc_weight.decay": flat("dbc_sac", preset)["loss.bc_decay"]}
+    delta = {"loss.bc_weight.kind": "exponential"} | decay
+    assert changes("dbc_sac", "bc_sac", preset) == delta
+    assert 0.999 <= decay["loss.bc_weight.decay"] < 1
+
+
+def test_under_the_paper_preset_the_weight_decays_as_in_the_tables():
+    assert flat("dbc_sac", "paper")["loss.bc_weight.decay"] == 0.999
 
 
 def test_under_the_paper_preset_bc_sac_is_sac_with_imitation():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -103,7 +104,9 @@ def evaluation_hook(trainer: FakeTrainer, path: Path, interval: int) -> Evaluati
     return hook
 
 
-def frames_evaluated(hook: EvaluationHook, trainer: FakeTrainer, frames: range) -> list[int]:
+def frames_evaluated(
+    hook: EvaluationHook, trainer: FakeTrainer, frames: Iterable[int]
+) -> list[int]:
     evaluated = []
     for trainer.collected_frames in frames:
         if hook() is not None:
@@ -117,9 +120,11 @@ def test_evaluations_come_in_step(trainer: FakeTrainer, tmp_path: Path):
     assert frames_evaluated(hook, trainer, range(30, 400, 30)) == [30, 120, 210, 300]
 
 
-def test_large_batches_do_not_pile_evaluations_up(trainer: FakeTrainer, tmp_path: Path):
+def test_evaluations_that_a_large_batch_skipped_are_not_made_up_for(
+    trainer: FakeTrainer, tmp_path: Path
+):
     hook = evaluation_hook(trainer, tmp_path / "curve.jsonl", 10)
-    assert frames_evaluated(hook, trainer, range(35, 140, 35)) == [35, 70, 105]
+    assert frames_evaluated(hook, trainer, [35, 36, 38, 41, 75, 76]) == [35, 41, 75]
 
 
 def test_an_interval_of_zero_is_never(trainer: FakeTrainer, tmp_path: Path):

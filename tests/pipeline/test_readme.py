@@ -9,7 +9,7 @@ import pytest
 
 from envs.demonstrations import sources
 from losses import CosineWeight
-from pipeline.build import Run
+from pipeline.trainer import Run
 
 README = Path(__file__).parents[2] / "README.md"
 SNIPPET = re.compile(r"<!-- snippet:compose -->\n```python\n(.*?)```", re.DOTALL)

@@ -14,10 +14,11 @@ from torchrl.data import TensorDictReplayBuffer
 
 from configs import Config
 from pipeline.buffers import make_buffer
-from pipeline.build import Run, build_run
+from pipeline.build import build_run
 from pipeline.checkpoint import latest_checkpoint, load_component, make_checkpoint
 from pipeline.evaluate_run import evaluate_run
 from pipeline.policy import load_policy
+from pipeline.trainer import Run
 from tests.pipeline.toys import tagged_rows, tiny_config
 
 HALF, WHOLE = 400, 800

@@ -1,0 +1,151 @@
+"""Reinforcement learning with demonstrations: buffers, stepper, collector and hooks together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from torchrl.collectors import Collector
+
+from configs.schema import Config
+from pipeline import components
+from pipeline.buffers import (
+    DemonstrationDistribution,
+    GrownDemonstrations,
+    make_buffer,
+    make_core_buffer,
+)
+from pipeline.checkpoint import CollectorState, make_checkpoint
+from pipeline.cloning import behaviour_cloned
+from pipeline.components import Demonstrations
+from pipeline.grow import admit_rollouts
+from pipeline.harvest import AdmissionRule, Harvest
+from pipeline.hooks import DemoUpdateHook, EpisodeHook, GrownHook, StoreHook
+from pipeline.mixture import Mixture
+from pipeline.stepper import BCSACStepper, StepRhythm
+from pipeline.trainer import Run, make_evaluation_hook, make_trainer
+
+ROW_LIMIT = 1_000_000
+"""The main buffer holds the whole run up to this many frames."""
+
+
+def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) -> Run:
+    """Reinforcement learning, with whatever help from D the configuration asks for."""
+    device = config.device
+    env = components.make_training_env(config)
+    normalizer = components.make_normalizer(config.actor, demos)
+    actor = components.make_policy(config.actor, env, normalizer, device)
+    normalizer = components.make_normalizer(config.critic, demos)
+    critic = components.make_critic(config.critic, env, normalizer, device)
+    loss = components.make_loss(config.loss, actor, critic, env.action_spec.shape[-1])
+    if config.pretrain:
+        actor.load_state_dict(behaviour_cloned(config, demos).state_dict())
+
+    to_rows = components.make_rows(config.loss)
+    main = make_buffer(min(config.collector.total_frames, ROW_LIMIT), device)
+    grown, distribution = _demonstration_distribution(config, demos, to_rows)
+    rows = config.sampler.batch_size
+    mixture = Mixture(
+        main,
+        distribution,
+        main_rows=rows,
+        demo_rows=round(config.sampler.demo_ratio * rows),
+        device=device,
+    )
+    stepper = BCSACStepper(
+        loss,
+        actor_lr=config.optim.actor_lr,
+        critic_lr=config.optim.critic_lr,
+        temperature_lr=config.optim.temperature_lr,
+        rhythm=StepRhythm(
+            actor_period=config.optim.actor_period,
+            target_period=config.optim.target_period,
+            actor_delay=config.optim.actor_delay,
+            diagnostics_period=config.optim.diagnostics_period,
+        ),
+        bc_gradient_ratio=config.loss.bc_gradient_ratio,
+        max_grad_norm=config.optim.max_grad_norm,
+        anneal_updates=_actor_updates(config) if config.optim.anneal_actor else None,
+    )
+    collector = Collector(
+        env,
+        actor,
+        frames_per_batch=config.collector.frames_per_batch,
+        total_frames=-1,  # the trainer counts, so that a resumed run can go on for longer
+        init_random_frames=config.collector.random_frames,
+        policy_device=device,
+        env_device=device,
+        storing_device=device,
+        track_traj_ids=False,
+        auto_register_policy_transforms=False,  # the policies here are memoryless
+    )
+    trainer = make_trainer(
+        config,
+        run_dir,
+        make_checkpoint(actor, CollectorState(collector)),
+        collector=collector,
+        total_frames=config.collector.total_frames,
+        optim_steps_per_batch=_updates_per_batch(config),
+        loss_module=loss,
+        optimization_stepper=stepper,
+    )
+    harvest = None
+    if grown is not None:
+        GrownHook(grown).register(trainer)
+        if config.growth.self_imitation:
+            harvest = Harvest(grown, _admission(config), to_rows, source="policy")
+    EpisodeHook(on_episode=harvest).register(trainer)
+    StoreHook(main, to_rows).register(trainer)
+    trainer.register_op("process_optim_batch", mixture)
+    if config.sampler.demo_update_period:
+        demo_batches = Mixture(None, distribution, main_rows=0, demo_rows=rows, device=device)
+        DemoUpdateHook(stepper, demo_batches, config.sampler.demo_update_period).register(trainer)
+    make_evaluation_hook(config, actor, run_dir).register(trainer)
+    return Run(config, run_dir, trainer, actor)
+
+
+def _demonstration_distribution(
+    config: Config, demos: Demonstrations | None, to_rows: components.TransitionRows
+) -> tuple[GrownDemonstrations | None, DemonstrationDistribution | None]:
+    if demos is None:
+        return None, None
+    core = make_core_buffer(demos.rows, config.device)
+    growth = config.growth
+    if not growth.self_imitation and not growth.bc_model:
+        return None, DemonstrationDistribution(core)
+    grown = GrownDemonstrations(growth.capacity, config.device)
+    if growth.bc_model:
+        harvest = Harvest(grown, _admission(config), to_rows, source="bc_model")
+        admit_rollouts(
+            behaviour_cloned(config, demos),
+            harvest,
+            env_name=config.env.name,
+            episodes=growth.bc_model_episodes,
+            seed=config.seed,
+            horizon=config.env.horizon,
+            num_threads=config.env.num_threads,
+            device=config.device,
+        )
+    return grown, DemonstrationDistribution(core, grown)
+
+
+def _admission(config: Config) -> AdmissionRule:
+    return AdmissionRule(config.growth.admission.min_angle, config.growth.admission.min_return)
+
+
+def _updates_per_batch(config: Config) -> int:
+    updates = config.optim.updates_per_frame * config.collector.frames_per_batch
+    if updates < 1 or abs(updates - round(updates)) > 1e-9:
+        raise ValueError(
+            f"optim.updates_per_frame ({config.optim.updates_per_frame}) times "
+            f"collector.frames_per_batch ({config.collector.frames_per_batch}) must be a whole "
+            f"number of at least 1, got {updates}."
+        )
+    return round(updates)
+
+
+def _actor_updates(config: Config) -> int:
+    learning_frames = config.collector.total_frames - config.collector.random_frames
+    critic_updates = round(config.optim.updates_per_frame * learning_frames)
+    if config.sampler.demo_update_period:
+        critic_updates += critic_updates // config.sampler.demo_update_period
+    return max(critic_updates - config.optim.actor_delay, 0) // config.optim.actor_period
