@@ -13,7 +13,7 @@ from pipeline.checkpoint import latest_checkpoint, load_trainer
 from pipeline.cloning import build_offline
 from pipeline.components import Demonstrations
 from pipeline.online import build_online
-from pipeline.run_dir import create_run_dir
+from pipeline.run_dir import create_run_dir, save_config
 from pipeline.trainer import Run, seed_everything
 
 
@@ -39,6 +39,7 @@ def build_run(config: Config, *, resume: bool = False) -> Run:
         checkpoint = latest_checkpoint(run_dir)
         run = _compose(config, run_dir)
         load_trainer(checkpoint, run.trainer)
+        save_config(run_dir, config)
         return run
     create_run_dir(run_dir, config)
     try:

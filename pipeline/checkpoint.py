@@ -23,6 +23,7 @@ from torchrl.checkpoint import (
 )
 from torchrl.collectors import BaseCollector
 from torchrl.data import ReplayBuffer
+from torchrl.envs import EnvBase
 from torchrl.trainers import Trainer
 
 KEEP_LAST = 1
@@ -58,6 +59,15 @@ class BufferAdapter(CheckpointAdapter):
             component.writer.load_state_dict(json.loads((path / self.writer).read_text()))
 
 
+def resumes_midway(env: EnvBase) -> bool:
+    """Whether ``env`` saves its whole state, so that an episode can go on after a restart.
+
+    A ``state_dict`` alone does not say so: those of gymnasium's and dm_control's environments hold
+    the constants of their transforms and nothing of the simulation.
+    """
+    return type(env).get_extra_state is not nn.Module.get_extra_state
+
+
 class CollectorState:
     """Frame counter, current observation and environment of a single-process collector.
 
@@ -85,7 +95,7 @@ class CollectorState:
         """Restores what :meth:`state_dict` gave, in place."""
         self.collector._frames = state["frames"]
         self.collector._iter = state["iter"]
-        if state["env"]:
+        if resumes_midway(self.collector.env):
             self.collector.env.load_state_dict(state["env"])
             carrier = self.collector._carrier
             carrier.update(TensorDict(state["carrier"], batch_size=carrier.batch_size))

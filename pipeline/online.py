@@ -14,7 +14,7 @@ from pipeline.buffers import (
     make_buffer,
     make_core_buffer,
 )
-from pipeline.checkpoint import CollectorState, make_checkpoint
+from pipeline.checkpoint import CollectorState, make_checkpoint, resumes_midway
 from pipeline.cloning import behaviour_cloned
 from pipeline.components import Demonstrations
 from pipeline.grow import admit_rollouts
@@ -93,7 +93,7 @@ def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) ->
         GrownHook(grown).register(trainer)
         if config.growth.self_imitation:
             harvest = Harvest(grown, _admission(config), to_rows, source="policy")
-    EpisodeHook(on_episode=harvest).register(trainer)
+    EpisodeHook(harvest, resumes_midway=resumes_midway(env)).register(trainer)
     StoreHook(main, to_rows).register(trainer)
     trainer.register_op("process_optim_batch", mixture)
     if config.sampler.demo_update_period:

@@ -41,11 +41,16 @@ def create_run_dir(path: Path, config: Config) -> None:
     try:
         path.mkdir(parents=True)
         write_atomically(path / VERSIONS, json.dumps(versions(), indent=2) + "\n")
-        write_atomically(path / CONFIG, OmegaConf.to_yaml(config, resolve=True))
+        save_config(path, config)
     except OSError as error:
         raise RunDirectoryError(
             f"Run directory {path} cannot be written ({error.strerror}); choose another with RUN=."
         ) from error
+
+
+def save_config(path: Path, config: Config) -> None:
+    """Writes the resolved configuration: of a new run, or of one resumed with other values."""
+    write_atomically(path / CONFIG, OmegaConf.to_yaml(config, resolve=True))
 
 
 def load_config(run_dir: Path, overrides: list[str] | None = None) -> Config:

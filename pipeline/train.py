@@ -19,19 +19,30 @@ from pipeline.run_dir import RunDirectoryError, load_config
 logger = logging.getLogger(__name__)
 register_schema()
 
+IDENTITY = {"variant", "preset", "run_dir"}
+"""Overrides that say which run it is; a resumed run brings its own."""
+
 
 def resolve(config: Config) -> tuple[Config, bool]:
     """The configuration to run and whether it continues an earlier run.
 
     With ``resume=DIR`` the run's own configuration is read and only the overrides that were typed
     on the command line are put on top of it.
+
+    Raises:
+        ValueError: If a resumed run is also told what it is.
+        RunDirectoryError: If there is no run to resume.
     """
     if config.resume is None:
         OmegaConf.resolve(config)  # type: ignore[arg-type]
         return config, False
     run_dir = Path(config.resume)
-    choices = {"resume", "variant", "preset", "run_dir"}
-    typed = [o for o in HydraConfig.get().overrides.task if o.split("=")[0] not in choices]
+    typed = [o for o in HydraConfig.get().overrides.task if not o.startswith("resume=")]
+    chosen = [o for o in typed if o.split("=")[0] in IDENTITY]
+    if chosen:
+        raise ValueError(
+            f"resume={run_dir} continues that run as what it is; leave out {', '.join(chosen)}."
+        )
     resumed = load_config(run_dir, typed)
     resumed.run_dir = str(run_dir)
     return resumed, True
@@ -40,6 +51,7 @@ def resolve(config: Config) -> tuple[Config, bool]:
 @hydra.main(version_base="1.3", config_path="pkg://configs", config_name="train")
 def main(config: Config) -> None:
     """Trains one run (or, with ``--multirun``, one of several)."""
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports each buffer it allocates
     try:
         resolved, resume = resolve(config)
         run = build_run(resolved, resume=resume)

@@ -23,10 +23,18 @@ class EpisodeHook(TrainerHookBase):
     Args:
         on_episode: Called with every finished episode and the number of collected frames; SID's
             harvest goes here.
+        resumes_midway: Whether a resumed run continues the episodes that were open; if it starts
+            fresh ones, their beginnings are not saved.
     """
 
-    def __init__(self, on_episode: Callable[[FinishedEpisode, int], None] | None = None) -> None:
+    def __init__(
+        self,
+        on_episode: Callable[[FinishedEpisode, int], None] | None = None,
+        *,
+        resumes_midway: bool = True,
+    ) -> None:
         self.assembler = EpisodeAssembler()
+        self.resumes_midway = resumes_midway
         self.on_episode = on_episode
         self.returns: deque[float] = deque(maxlen=WINDOW)
         self.successes: deque[float] = deque(maxlen=WINDOW)
@@ -62,7 +70,7 @@ class EpisodeHook(TrainerHookBase):
     def state_dict(self) -> dict[str, Any]:
         """Unfinished episodes and the running windows."""
         return {
-            "assembler": self.assembler.state_dict(),
+            "assembler": self.assembler.state_dict() if self.resumes_midway else {},
             "returns": list(self.returns),
             "successes": list(self.successes),
         }

@@ -18,6 +18,7 @@ from pipeline.build import build_run
 from pipeline.checkpoint import latest_checkpoint, load_component, make_checkpoint
 from pipeline.evaluate_run import evaluate_run
 from pipeline.policy import load_policy
+from pipeline.run_dir import load_config
 from pipeline.trainer import Run
 from tests.pipeline.toys import tagged_rows, tiny_config
 
@@ -284,3 +285,32 @@ def test_a_task_that_cannot_be_restored_starts_fresh_episodes(tmp_path: Path, de
     again.train()
     assert again.trainer.collected_frames == 80
     assert len(again.trainer._modules["main_buffer"]) == 80
+
+
+def test_an_environment_without_a_state_starts_fresh_episodes(tmp_path: Path, demos: Path):
+    config = tiny_config(
+        "sac",
+        tmp_path,
+        demos,
+        "env.name='gymnasium:Pendulum-v1'",
+        "env.horizon=15",
+        "actor.normalise_observations=false",
+        "growth.admission.min_return=0.0",
+    )
+    run = build_run(config)
+    run.trainer.total_frames = 20  # ten steps of each copy: in the middle of the episodes
+    run.train()
+    assert part_open(run), "the cut must be in the middle of episodes for this to say anything"
+    again = build_run(config, resume=True)
+    assert not part_open(again)
+    collector = again.trainer.collector
+    fresh = collector._carrier["observation"].clone()
+    # Pendulum: [cos, sin, velocity]; the step from a state moves it by little, from another by much.
+    batch = next(iter(collector))
+    assert torch.equal(batch["observation"][:, 0], fresh)
+    assert torch.equal(batch["step_count"][:, 0], torch.zeros_like(batch["step_count"][:, 0]))
+
+
+def test_overrides_of_a_resumed_run_are_saved_with_it(stopped: Path, demos: Path):
+    resumed(stopped, demos, f"collector.total_frames={WHOLE + 100}")
+    assert load_config(stopped).collector.total_frames == WHOLE + 100
