@@ -54,7 +54,9 @@ class EvaluationHook(TrainerHookBase):
 
     def finish(self) -> None:
         """Evaluates the last policy too, wherever the run ends between two evaluations."""
-        if self._trainer is not None and self._trainer.collected_frames != self.last_frame:
+        if self._trainer is None or self.interval == 0:
+            return
+        if self._trainer.collected_frames != self.last_frame:
             self.evaluate(self._trainer.collected_frames)
 
     def register(self, trainer: Trainer, name: str = "evaluation") -> None:

@@ -53,7 +53,10 @@ def training(
     handlers, level = root.handlers[:], root.level
 
     def run(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["pipeline.train", "preset=smoke", *map(str, arguments)])
+        typed = [str(argument) for argument in arguments]
+        if not any(argument.startswith("resume=") for argument in typed):
+            typed.append("preset=smoke")  # a resumed run brings its own
+        monkeypatch.setattr(sys, "argv", ["pipeline.train", *typed])
         GlobalHydra.instance().clear()
         return outcome(train.main, capsys)
 
@@ -222,7 +225,6 @@ def test_hydra_names_what_it_does_not_know(training: Command, arguments: tuple, 
         (("demos.source=bad.pickle",), "bad.pickle"),
         (("run_dir=taken",), "Run directory taken exists. Continue it with RESUME=taken"),
         (("run_dir=a-file/run",), "Run directory a-file/run cannot be written"),
-        (("resume=taken",), "taken is not a run directory: it holds no config.yaml"),
         (("env.name=window",), "unknown environment 'window'"),
         (("logging.loggers=[neptune]",), "unknown ['neptune']; choose from"),
     ],
@@ -236,6 +238,23 @@ def test_bad_input_is_one_line_and_exit_code_1(
     code, _, error = training("variant=bc_sac", f"demos.source='{demos}'", *TINY, *arguments)
     assert code == 1
     assert error.startswith("error: ")
+    assert message in error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("resume=taken",), "taken is not a run directory: it holds no config.yaml"),
+        (("resume=taken", "variant=sac"), "leave out variant=sac"),
+        (("resume=taken", "run_dir=other"), "leave out run_dir=other"),
+    ],
+)
+def test_resume_says_what_is_wrong_with_it(
+    training: Command, arguments: tuple, message: str, tmp_path: Path
+):
+    (tmp_path / "taken").mkdir()
+    code, _, error = training(*arguments)
+    assert code == 1
     assert message in error
 
 

@@ -207,3 +207,19 @@ def test_open_episodes_and_averages_survive(trainer: FakeTrainer):
     for i in range(30):
         second(episode(float(i), math.nan))
     assert len(second.returns) == 20
+
+
+@pytest.mark.parametrize(
+    ("interval", "last", "evaluated"),
+    [(100, 390, [30, 120, 210, 300, 390]), (100, 300, [30, 120, 210, 300]), (0, 390, [])],
+)
+def test_the_last_policy_is_evaluated_once(
+    trainer: FakeTrainer, tmp_path: Path, interval: int, last: int, evaluated: list[int]
+):
+    path = tmp_path / "curve.jsonl"
+    hook = evaluation_hook(trainer, path, interval)
+    frames_evaluated(hook, trainer, range(30, last + 1, 30))
+    (at_shutdown,) = trainer.ops["shutdown"]
+    at_shutdown()
+    lines = path.read_text().splitlines() if path.exists() else []
+    assert [json.loads(line)["frames"] for line in lines] == evaluated

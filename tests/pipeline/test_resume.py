@@ -305,7 +305,6 @@ def test_an_environment_without_a_state_starts_fresh_episodes(tmp_path: Path, de
     assert not part_open(again)
     collector = again.trainer.collector
     fresh = collector._carrier["observation"].clone()
-    # Pendulum: [cos, sin, velocity]; the step from a state moves it by little, from another by much.
     batch = next(iter(collector))
     assert torch.equal(batch["observation"][:, 0], fresh)
     assert torch.equal(batch["step_count"][:, 0], torch.zeros_like(batch["step_count"][:, 0]))
