@@ -132,6 +132,11 @@ def latest_checkpoint(run_dir: Path) -> Path:
     return latest
 
 
+def trained_frames(path: Path) -> int:
+    """Frames that had been collected when checkpoint ``path`` was written."""
+    return int(Checkpoint.manifest(path)["metadata"]["collected_frames"])
+
+
 def load_component(path: Path, name: str, module: nn.Module) -> None:
     """Loads one module of a checkpoint in place.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import components
+from pipeline.checkpoint import trained_frames
 from pipeline.evaluation import as_scalars
 from pipeline.policy import load_policy
 from pipeline.run_dir import EVALUATION, RunDirectoryError, load_config, versions
@@ -45,7 +46,7 @@ def evaluate_run(
             "seed": config.seed,
             "demos": config.demos.source,
             "demos_multiplied": config.demos.multiply.enabled,
-            "frames": 0 if config.offline else config.collector.total_frames,
+            "frames": 0 if config.offline else trained_frames(checkpoint),
             "evaluation_seed": config.evaluation.seed,
             "exploration": config.evaluation.exploration,
             "versions": versions(),

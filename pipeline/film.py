@@ -13,6 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from envs import DoorEnv
 from envs.door.render import DoorRenderer
 from envs.door.starts import door_position
+from envs.door.task import HORIZON
 from pipeline.policy import load_policy
 from pipeline.run_dir import load_config
 
@@ -41,7 +42,7 @@ def film(run_dir: Path, out: Path, episodes: int) -> None:
     if config.env.name != "door":
         raise ValueError(f"{run_dir}: only door runs can be filmed, this is {config.env.name!r}.")
     policy, _ = load_policy(config, run_dir)
-    env = DoorEnv(1, horizon=config.env.horizon or 200, device=config.device)
+    env = DoorEnv(1, horizon=config.env.horizon or HORIZON, device=config.device)
     renderer = DoorRenderer(env.simulator)
     open_film: Any = imageio.get_writer  # its annotations lack append_data
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from envs.door.task import SUCCESS_ANGLE
 from pipeline.buffers import EpisodeRecord, GrownDemonstrations
 from pipeline.episodes import FinishedEpisode
 from pipeline.rows import TransitionRows
@@ -20,7 +21,7 @@ class AdmissionRule:
     hard doors; ``growth.admission.min_return`` sets one and ``min_angle=null`` lifts the angle.
     """
 
-    min_angle: float | None = 1.35
+    min_angle: float | None = SUCCESS_ANGLE
     """rad; the largest hinge angle of the episode must exceed it."""
     min_return: float | None = None
     """Undiscounted return that must be reached."""

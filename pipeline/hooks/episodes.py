@@ -11,10 +11,10 @@ import numpy as np
 from tensordict import TensorDictBase
 from torchrl.trainers import Trainer, TrainerHookBase
 
+from envs.door.task import SUCCESS_ANGLE
 from pipeline.episodes import EpisodeAssembler, FinishedEpisode
 
 WINDOW = 20  # episodes in the running averages
-SUCCESS_ANGLE = 1.35  # rad, the paper's last threshold
 
 
 class EpisodeHook(TrainerHookBase):

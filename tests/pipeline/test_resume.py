@@ -310,6 +310,11 @@ def test_an_environment_without_a_state_starts_fresh_episodes(tmp_path: Path, de
     assert torch.equal(batch["step_count"][:, 0], torch.zeros_like(batch["step_count"][:, 0]))
 
 
+def test_an_evaluation_says_how_far_the_run_really_got(stopped: Path):
+    made_from = evaluate_run(stopped, ["evaluation.episodes=1"])["made_from"]
+    assert made_from["frames"] == HALF  # of the WHOLE that its configuration asks for
+
+
 def test_overrides_of_a_resumed_run_are_saved_with_it(stopped: Path, demos: Path):
     resumed(stopped, demos, f"collector.total_frames={WHOLE + 100}")
     assert load_config(stopped).collector.total_frames == WHOLE + 100
