@@ -8,6 +8,7 @@ the project.
 from __future__ import annotations
 
 from losses.bc_sac import BCSACLoss
+from losses.distributions import SquashedNormal
 from losses.ensemble import CriticEnsemble
 from losses.schedules import (
     SCHEDULES,
@@ -33,5 +34,6 @@ __all__ = [
     "LinearWeight",
     "PiecewiseWeight",
     "Schedule",
+    "SquashedNormal",
     "make_schedule",
 ]

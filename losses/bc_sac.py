@@ -19,6 +19,7 @@ from torchrl.objectives.utils import hold_out_net
 
 from losses import functional as F
 from losses.ensemble import CriticEnsemble
+from losses.policy import policy_distribution
 from losses.schedules import ConstantWeight, Schedule
 from losses.terms import ActorTerms, CriticTerms
 
@@ -310,8 +311,7 @@ class BCSACLoss(LossModule):
 
     def _policy(self, observation: Tensor) -> TanhNormal:
         """Run the actor on ``[B, O]``; nothing but the observation is handed to it."""
-        (key,) = self.actor.in_keys
-        return self.actor.get_dist(TensorDict({key: observation}, [len(observation)]))
+        return policy_distribution(self.actor, observation)
 
     @torch.no_grad()
     def _soft_td_target(self, batch: TensorDictBase) -> Tensor:
@@ -355,11 +355,13 @@ class BCSACLoss(LossModule):
         mask = tensordict.get(self.tensor_keys.is_demo, None)
         return None if mask is None else mask.squeeze(-1)
 
-    def _reinforcement_rows(self, tensordict: TensorDictBase) -> Tensor | None:
+    def _reinforcement_rows(self, tensordict: TensorDictBase) -> Tensor | slice | None:
         """Return the indices ``[R]`` of the rows for reinforcement, ``None`` for all of them.
 
-        Finding indices makes an accelerator's host wait, once: the price of not running the
-        critics on rows that do not count. With ``rl_on_demos`` there is nothing to find.
+        Where the demonstrations come last, as in the pipeline's batches, it is a slice: a view in
+        place of a copy of every entry. Counting makes an accelerator's host wait, once: the price
+        of not running the critics on rows that do not count. With ``rl_on_demos`` there is nothing
+        to count.
 
         Raises:
             ValueError: if there are no such rows.
@@ -367,13 +369,16 @@ class BCSACLoss(LossModule):
         is_demo = self._is_demo(tensordict)
         if self.rl_on_demos or is_demo is None:
             return None
-        rows = is_demo.logical_not().nonzero().squeeze(-1)
-        if len(rows) == 0:
+        others = is_demo.logical_not()
+        count, first_demo = torch.stack([others.sum(), is_demo.int().argmax()]).tolist()
+        if count == 0:
             raise ValueError(
                 "all rows of the batch are demonstrations, which leaves none for reinforcement: "
                 "mix in other transitions, set rl_on_demos=True, or call bc_loss alone"
             )
-        return rows
+        if count in (first_demo, len(others)):
+            return slice(count)
+        return others.nonzero().squeeze(-1)
 
     def _reinforcement_batch(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return the transitions ``[R]`` that the reinforcement terms use."""

@@ -114,17 +114,22 @@ class DemonstrationDistribution:
         return len(self.core) + (len(self.grown) if self.grown is not None else 0)
 
     def sample(self, n: int) -> TensorDictBase:
-        """Draws ``n`` rows with replacement; the grown part gets its proportional share.
+        """Draws ``n`` rows with replacement; the grown part gets its proportional share."""
+        return self.sample_batches(1, n).squeeze(0)
 
-        The share is rounded up or down at random so that it is exact on average.
+    def sample_batches(self, batches: int, n: int) -> TensorDictBase:
+        """Draws ``[batches, n]`` rows with replacement, the core's first in each batch.
+
+        The grown part's share of n is rounded up or down at random so that it is exact on average.
         """
-        if self.grown is None or len(self.grown) == 0:
-            return self.core.sample(n)
-        expected = n * len(self.grown) / len(self)
-        n_grown = min(n, int(expected + torch.rand(()).item()))
+        expected = n * len(self.grown) / len(self) if self.grown is not None else 0.0
+        n_grown = min(n, int(expected + torch.rand(()).item())) if expected else 0
         parts: Sequence[TensorDictBase] = [
-            buffer.sample(count)
-            for buffer, count in ((self.core, n - n_grown), (self.grown.buffer, n_grown))
+            buffer.sample(batches * count).reshape(batches, count)
+            for buffer, count in zip(self._buffers(), (n - n_grown, n_grown), strict=False)
             if count > 0
         ]
-        return torch.cat(list(parts)) if len(parts) > 1 else parts[0]
+        return torch.cat(list(parts), dim=1) if len(parts) > 1 else parts[0]
+
+    def _buffers(self) -> list[TensorDictReplayBuffer]:
+        return [self.core] if self.grown is None else [self.core, self.grown.buffer]

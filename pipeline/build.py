@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from pathlib import Path
 
 import torch
@@ -12,6 +13,7 @@ from pipeline import components
 from pipeline.checkpoint import latest_checkpoint, load_trainer
 from pipeline.cloning import build_offline
 from pipeline.components import Demonstrations
+from pipeline.compute import resolve_compute
 from pipeline.online import build_online
 from pipeline.run_dir import create_run_dir, save_config
 from pipeline.trainer import Run, seed_everything
@@ -33,8 +35,8 @@ def build_run(config: Config, *, resume: bool = False) -> Run:
         ValueError: If values of the configuration contradict each other.
     """
     run_dir = Path(config.run_dir)
-    if config.torch_threads is not None:
-        torch.set_num_threads(config.torch_threads)
+    config = resolve_compute(config)
+    torch.set_num_threads(config.torch_threads or 1)
     if resume:
         checkpoint = latest_checkpoint(run_dir)
         run = _compose(config, run_dir)
@@ -50,10 +52,13 @@ def build_run(config: Config, *, resume: bool = False) -> Run:
 
 
 def _compose(config: Config, run_dir: Path) -> Run:
+    began = time.perf_counter()
     demos = _demonstrations(config)
     seed_everything(config.seed)
     build = build_offline if config.offline else build_online
-    return build(config, run_dir, demos)
+    run = build(config, run_dir, demos)
+    run.time_use.seconds["setup"] = time.perf_counter() - began
+    return run
 
 
 def _demonstrations(config: Config) -> Demonstrations | None:

@@ -22,10 +22,12 @@ from pipeline.checkpoint import (
     make_rotation,
 )
 from pipeline.components import Demonstrations
-from pipeline.mixture import Mixture
+from pipeline.compute import hidden_dtype
+from pipeline.mixture import DRAWS, Mixture
 from pipeline.offline import OfflineStream
 from pipeline.run_dir import create_run_dir
 from pipeline.stepper import ImitationStepper
+from pipeline.time_use import TimeUse
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer, seed_everything
 
 UPDATES_PER_BATCH = 100
@@ -38,17 +40,27 @@ def build_offline(config: Config, run_dir: Path, demos: Demonstrations | None) -
         raise ValueError("offline=true trains on demonstrations alone: set demos.source.")
     env = components.make_training_env(config)
     normalizer = components.make_normalizer(config.actor, demos)
-    actor = components.make_policy(config.actor, env, normalizer, config.device)
+    dtype = hidden_dtype(config)
+    actor = components.make_policy(config.actor, env, normalizer, config.device, dtype)
     critic = components.make_critic(config.critic, env, None, config.device)
     loss = components.make_loss(config.loss, actor, critic, env.action_spec.shape[-1])
     env.close()
     core = DemonstrationDistribution(make_core_buffer(demos.rows, config.device))
-    mixture = Mixture(None, core, main_rows=0, demo_rows=config.bc.batch_size, device=config.device)
+    mixture = Mixture(
+        None,
+        core,
+        main_rows=0,
+        demo_rows=config.bc.batch_size,
+        draws=DRAWS,
+        device=config.device,
+    )
     collector = OfflineStream(UPDATES_PER_BATCH)
+    time_use = TimeUse()
     trainer = make_trainer(
         config,
         run_dir,
         make_checkpoint(actor, collector),
+        time_use,
         collector=collector,
         total_frames=config.bc.updates,
         optim_steps_per_batch=UPDATES_PER_BATCH,
@@ -59,9 +71,9 @@ def build_offline(config: Config, run_dir: Path, demos: Demonstrations | None) -
             anneal_updates=config.bc.updates if config.bc.anneal else None,
         ),
     )
-    trainer.register_op("process_optim_batch", mixture)
-    make_evaluation_hook(config, actor, run_dir).register(trainer)
-    return Run(config, run_dir, trainer, actor)
+    trainer.register_op("process_optim_batch", time_use.timed(mixture, "sample"))
+    make_evaluation_hook(config, actor, run_dir, time_use).register(trainer)
+    return Run(config, run_dir, trainer, actor, time_use)
 
 
 def behaviour_cloned(config: Config, demos: Demonstrations | None) -> ProbabilisticActor:
@@ -86,7 +98,7 @@ def behaviour_cloned(config: Config, demos: Demonstrations | None) -> Probabilis
     )
     identity = [demos.content_hash, config.env.name, config.seed, config.device]
     identity += [OmegaConf.to_container(part) for part in (config.actor, config.bc)]
-    identity += [config.loss.imitation, config.loss.action_margin]
+    identity += [config.loss.imitation, config.loss.action_margin, config.precision]
     digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:16]
     run_dir = Path(config.cache_dir) / f"bc-{digest}"
     complete = run_dir / "complete"

@@ -86,7 +86,11 @@ def make_training_env(config: Config) -> EnvBase:
 
 
 def make_policy(
-    actor: ActorConfig, env: EnvBase, normalizer: ObservationNormalizer | None, device: str
+    actor: ActorConfig,
+    env: EnvBase,
+    normalizer: ObservationNormalizer | None,
+    device: str,
+    hidden_dtype: torch.dtype | None = None,
 ) -> ProbabilisticActor:
     """The actor for the spaces of ``env``."""
     return make_actor(
@@ -97,11 +101,16 @@ def make_policy(
         log_std_max=actor.log_std_max,
         layer_norm=actor.layer_norm,
         normalizer=normalizer,
+        hidden_dtype=hidden_dtype,
     ).to(device)
 
 
 def make_critic(
-    critic: CriticConfig, env: EnvBase, normalizer: ObservationNormalizer | None, device: str
+    critic: CriticConfig,
+    env: EnvBase,
+    normalizer: ObservationNormalizer | None,
+    device: str,
+    hidden_dtype: torch.dtype | None = None,
 ) -> BatchedCritics:
     """The critic ensemble for the spaces of ``env``."""
     return BatchedCritics(
@@ -111,6 +120,7 @@ def make_critic(
         critic.num_critics,
         layer_norm=critic.layer_norm,
         normalizer=normalizer,
+        hidden_dtype=hidden_dtype,
     ).to(device)
 
 

@@ -9,6 +9,9 @@ from torchrl.data import TensorDictReplayBuffer
 
 from pipeline.buffers import DemonstrationDistribution
 
+DRAWS = 16
+"""Batches drawn at a time where many updates follow one another; more gained nothing."""
+
 
 class Mixture:
     """Draws batches with a fixed number of rows from each source and marks D's rows ``is_demo``.
@@ -21,11 +24,14 @@ class Mixture:
         demos: The distribution D, or None for plain reinforcement learning.
         main_rows: Rows of a batch drawn from ``main``.
         demo_rows: Rows of a batch drawn from ``demos``.
+        draws: Batches drawn at a time, at least 1. Rows are drawn with replacement, so K batches
+            drawn together are K batches drawn one by one, at a fraction of the calls; they must
+            all be used before the sources change, or be thrown away with :meth:`renew`.
         device: Where the batch goes.
 
     Raises:
-        ValueError: If a count is negative, no rows are asked for, or rows are asked of a source
-            that is not there.
+        ValueError: If a count is out of range, no rows are asked for, or rows are asked of a
+            source that is not there.
     """
 
     def __init__(
@@ -35,8 +41,11 @@ class Mixture:
         *,
         main_rows: int,
         demo_rows: int,
+        draws: int = 1,
         device: torch.device | str = "cpu",
     ) -> None:
+        if draws < 1:
+            raise ValueError(f"draws must be at least 1, got {draws}.")
         for name, rows, source in (("main", main_rows, main), ("demo", demo_rows, demos)):
             if rows < 0:
                 raise ValueError(f"{name}_rows must not be negative, got {rows}.")
@@ -51,22 +60,43 @@ class Mixture:
         self.demos = demos
         self.main_rows = main_rows
         self.demo_rows = demo_rows
+        self.draws = draws
         self.device = torch.device(device)
-        self.is_demo = torch.zeros(main_rows + demo_rows, 1, dtype=torch.bool, device=self.device)
-        self.is_demo[main_rows:] = True
+        is_demo = torch.zeros(main_rows + demo_rows, 1, dtype=torch.bool, device=self.device)
+        is_demo[main_rows:] = True
+        self.is_demo = is_demo.repeat(draws, 1, 1)
+        self._ready: list[TensorDictBase] = []
+        self._collected: TensorDictBase | None = None
 
     def sample(self) -> TensorDictBase:
         """One batch ``[main_rows + demo_rows]`` with ``is_demo`` [B, 1]."""
+        if not self._ready:
+            self._ready = list(self._draw().unbind(0))
+        return self._ready.pop()
+
+    def renew(self) -> None:
+        """Throws away batches that were drawn but not used: the sources have changed."""
+        self._ready = []
+
+    def __call__(self, collected: TensorDictBase | None = None) -> TensorDictBase:
+        """Trainer hook ``process_optim_batch``: the collected batch gives way to a sampled one.
+
+        The sources change when frames are collected, so each collected batch renews the draw.
+        """
+        if collected is not self._collected:
+            self._collected = collected
+            self.renew()
+        return self.sample()
+
+    def _draw(self) -> TensorDictBase:
+        """Batches ``[draws, main_rows + demo_rows]``, the main rows first in each."""
         parts = []
         if self.main is not None and self.main_rows:
-            parts.append(self.main.sample(self.main_rows))
+            rows = self.main.sample(self.draws * self.main_rows)
+            parts.append(rows.reshape(self.draws, self.main_rows))
         if self.demos is not None and self.demo_rows:
-            parts.append(self.demos.sample(self.demo_rows))
-        joined: TensorDictBase = tensordict.cat(parts) if len(parts) > 1 else parts[0]
-        batch = joined.to(self.device)
-        batch.set("is_demo", self.is_demo.clone())
-        return batch
-
-    def __call__(self, _batch: TensorDictBase | None = None) -> TensorDictBase:
-        """Trainer hook ``process_optim_batch``: the collected batch gives way to a sampled one."""
-        return self.sample()
+            parts.append(self.demos.sample_batches(self.draws, self.demo_rows))
+        joined: TensorDictBase = tensordict.cat(parts, dim=1) if len(parts) > 1 else parts[0]
+        drawn = joined.to(self.device)
+        drawn.set("is_demo", self.is_demo.clone())
+        return drawn

@@ -12,7 +12,9 @@ from itertools import pairwise
 import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
-from torchrl.modules import MLP, ProbabilisticActor, TanhNormal
+from torchrl.modules import MLP, ProbabilisticActor
+
+from losses import SquashedNormal
 
 OBSERVATION_CLIP = 5.0  # normalised observations are clipped to this many standard deviations
 MIN_STD = 1e-2  # an observation that hardly varies in the demonstrations is not blown up
@@ -70,6 +72,30 @@ class GaussianHead(nn.Module):
         return loc, log_std.exp()
 
 
+class HiddenLayers(nn.Module):
+    """Hidden layers in a lower precision between float32 inputs and outputs.
+
+    Parameters, heads, distributions and losses stay float32: a tanh Gaussian in bfloat16 cannot
+    tell actions above 0.996 apart.
+
+    Args:
+        layers: Maps ``[..., I]`` to ``[..., J]``.
+        dtype: What the matrix products are computed in; None is the parameters' own.
+    """
+
+    def __init__(self, layers: nn.Module, dtype: torch.dtype | None = None) -> None:
+        super().__init__()
+        self.layers = layers
+        self.dtype = dtype
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps ``[..., I]`` to ``[..., J]`` in float32."""
+        if self.dtype is None:
+            return self.layers(x)
+        with torch.autocast(x.device.type, self.dtype):
+            return self.layers(x).float()
+
+
 class EnsembleLinear(nn.Module):
     """``E`` independent linear layers evaluated as one batched matrix product.
 
@@ -114,6 +140,7 @@ class BatchedCritics(nn.Module):
         num_critics: ``E``.
         layer_norm: Normalise before each activation (bounds the overestimation off the data).
         normalizer: Optional observation standardisation.
+        hidden_dtype: See :class:`HiddenLayers`.
     """
 
     def __init__(
@@ -125,6 +152,7 @@ class BatchedCritics(nn.Module):
         *,
         layer_norm: bool = False,
         normalizer: ObservationNormalizer | None = None,
+        hidden_dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
         if num_critics < 1:
@@ -137,14 +165,14 @@ class BatchedCritics(nn.Module):
             layers.append(EnsembleLinear(num_critics, n_in, n_out))
             if layer_norm:
                 layers.append(EnsembleLayerNorm(num_critics, n_out))
-            layers.append(nn.ReLU())
-        layers.append(EnsembleLinear(num_critics, sizes[-1], 1))
-        self.layers = nn.Sequential(*layers)
+            layers.append(nn.ReLU(inplace=True))
+        self.hidden = HiddenLayers(nn.Sequential(*layers), hidden_dtype)
+        self.head = EnsembleLinear(num_critics, sizes[-1], 1)
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """Maps observation ``[B, O]`` and action ``[B, A]`` to values ``[E, B, 1]``."""
         x = torch.cat([self.normalizer(observation), action], dim=-1)
-        return self.layers(x.expand(self.num_critics, *x.shape))
+        return self.head(self.hidden(x.expand(self.num_critics, *x.shape)))
 
 
 def make_actor(
@@ -156,6 +184,7 @@ def make_actor(
     log_std_max: float = 2.0,
     layer_norm: bool = False,
     normalizer: ObservationNormalizer | None = None,
+    hidden_dtype: torch.dtype | None = None,
 ) -> ProbabilisticActor:
     """Builds the tanh-squashed diagonal Gaussian policy ``pi(a | s)`` (paper, section III-A).
 
@@ -163,23 +192,27 @@ def make_actor(
     """
     trunk = MLP(
         in_features=observation_size,
-        out_features=2 * action_size,
-        num_cells=list(hidden),
+        out_features=hidden[-1],
+        num_cells=list(hidden[:-1]),
         activation_class=nn.ReLU,
+        activation_kwargs={"inplace": True},
         norm_class=nn.LayerNorm if layer_norm else None,
         norm_kwargs=[{"normalized_shape": width} for width in hidden] if layer_norm else None,
+        activate_last_layer=True,
     )
+    output = nn.Linear(hidden[-1], 2 * action_size)
     orthogonal_(trunk)
+    orthogonal_(output)
     body = nn.Sequential(
         normalizer if normalizer is not None else nn.Identity(),
-        trunk,
+        HiddenLayers(trunk, hidden_dtype),
+        output,
         GaussianHead(log_std_min, log_std_max),
     )
     return ProbabilisticActor(
         TensorDictModule(body, in_keys=["observation"], out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
-        distribution_class=TanhNormal,
-        distribution_kwargs={"low": -1.0, "high": 1.0},
+        distribution_class=SquashedNormal,
         return_log_prob=False,
     )
 

@@ -17,11 +17,13 @@ from pipeline.buffers import (
 from pipeline.checkpoint import CollectorState, make_checkpoint, resumes_midway
 from pipeline.cloning import behaviour_cloned
 from pipeline.components import Demonstrations
+from pipeline.compute import hidden_dtype
 from pipeline.grow import admit_rollouts
 from pipeline.harvest import AdmissionRule, Harvest
 from pipeline.hooks import DemoUpdateHook, EpisodeHook, GrownHook, StoreHook
-from pipeline.mixture import Mixture
+from pipeline.mixture import DRAWS, Mixture
 from pipeline.stepper import BCSACStepper, StepRhythm
+from pipeline.time_use import TimeUse
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer
 
 ROW_LIMIT = 1_000_000
@@ -30,12 +32,12 @@ ROW_LIMIT = 1_000_000
 
 def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) -> Run:
     """Reinforcement learning, with whatever help from D the configuration asks for."""
-    device = config.device
+    device, dtype = config.device, hidden_dtype(config)
     env = components.make_training_env(config)
     normalizer = components.make_normalizer(config.actor, demos)
-    actor = components.make_policy(config.actor, env, normalizer, device)
+    actor = components.make_policy(config.actor, env, normalizer, device, dtype)
     normalizer = components.make_normalizer(config.critic, demos)
-    critic = components.make_critic(config.critic, env, normalizer, device)
+    critic = components.make_critic(config.critic, env, normalizer, device, dtype)
     loss = components.make_loss(config.loss, actor, critic, env.action_spec.shape[-1])
     if config.pretrain:
         actor.load_state_dict(behaviour_cloned(config, demos).state_dict())
@@ -49,6 +51,7 @@ def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) ->
         distribution,
         main_rows=rows,
         demo_rows=round(config.sampler.demo_ratio * rows),
+        draws=min(_updates_per_batch(config), DRAWS),
         device=device,
     )
     stepper = BCSACStepper(
@@ -78,10 +81,14 @@ def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) ->
         track_traj_ids=False,
         auto_register_policy_transforms=False,  # the policies here are memoryless
     )
+    time_use = TimeUse()
+    time_use.watch(env, "_step", "physics")
+    time_use.watch(collector, "rollout", "collect")
     trainer = make_trainer(
         config,
         run_dir,
         make_checkpoint(actor, CollectorState(collector)),
+        time_use,
         collector=collector,
         total_frames=config.collector.total_frames,
         optim_steps_per_batch=_updates_per_batch(config),
@@ -94,13 +101,15 @@ def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) ->
         if config.growth.self_imitation:
             harvest = Harvest(grown, _admission(config), to_rows, source="policy")
     EpisodeHook(harvest, resumes_midway=resumes_midway(env)).register(trainer)
-    StoreHook(main, to_rows).register(trainer)
-    trainer.register_op("process_optim_batch", mixture)
+    store = StoreHook(main, to_rows)
+    time_use.watch(store, "store", "store")
+    store.register(trainer)
+    trainer.register_op("process_optim_batch", time_use.timed(mixture, "sample"))
     if config.sampler.demo_update_period:
         demo_batches = Mixture(None, distribution, main_rows=0, demo_rows=rows, device=device)
         DemoUpdateHook(stepper, demo_batches, config.sampler.demo_update_period).register(trainer)
-    make_evaluation_hook(config, actor, run_dir).register(trainer)
-    return Run(config, run_dir, trainer, actor)
+    make_evaluation_hook(config, actor, run_dir, time_use).register(trainer)
+    return Run(config, run_dir, trainer, actor, time_use)
 
 
 def _demonstration_distribution(

@@ -9,6 +9,7 @@ from torchrl.modules import ProbabilisticActor
 from configs.schema import Config
 from pipeline import components
 from pipeline.checkpoint import latest_checkpoint, load_component
+from pipeline.compute import hidden_dtype
 from pipeline.networks import ObservationNormalizer
 
 
@@ -32,7 +33,9 @@ def load_policy(config: Config, run_dir: Path) -> tuple[ProbabilisticActor, Path
         if config.actor.normalise_observations
         else None
     )
-    actor = components.make_policy(config.actor, env, normalizer, config.device)
+    actor = components.make_policy(
+        config.actor, env, normalizer, config.device, hidden_dtype(config)
+    )
     env.close()
     load_component(checkpoint, "policy", actor)
     return actor.eval(), checkpoint

@@ -17,6 +17,7 @@ from pipeline.checkpoint import make_rotation
 from pipeline.hooks import EvaluationHook
 from pipeline.loggers import make_loggers
 from pipeline.run_dir import LEARNING_CURVE
+from pipeline.time_use import OTHER, TimeUse
 
 
 @dataclass(frozen=True)
@@ -27,17 +28,22 @@ class Run:
     run_dir: Path
     trainer: Trainer
     actor: ProbabilisticActor
+    time_use: TimeUse
 
     def train(self) -> None:
         """Trains to the end; the newest checkpoint and the learning curve are in ``run_dir``."""
         # The trainer looks at its total only after a batch: a complete run would grow by one.
         if self.trainer.collected_frames < self.trainer.total_frames:
-            self.trainer.train()
+            with self.time_use.part(OTHER):
+                self.trainer.train()
+            self.time_use.write(self.run_dir)
 
 
-def make_trainer(config: Config, run_dir: Path, checkpoint: Checkpoint, **parts: object) -> Trainer:
+def make_trainer(
+    config: Config, run_dir: Path, checkpoint: Checkpoint, time_use: TimeUse, **parts: object
+) -> Trainer:
     """TorchRL's trainer with this project's checkpointing, logging and progress bar."""
-    return Trainer(
+    trainer = Trainer(
         frame_skip=1,
         logger=make_loggers(list(config.logging.loggers), run_dir, config.logging.project),
         progress_bar=config.logging.progress,
@@ -47,18 +53,22 @@ def make_trainer(config: Config, run_dir: Path, checkpoint: Checkpoint, **parts:
         checkpoint_rotation=make_rotation(run_dir),
         **parts,
     )
+    trainer.register_module("time_use", time_use)
+    time_use.watch(trainer.optimization_stepper, "step", "update")
+    time_use.watch(trainer, "save_trainer", "checkpoint")
+    if trainer.logger is not None:
+        time_use.watch(trainer.logger, "log_scalar", "log")
+    return trainer
 
 
 def make_evaluation_hook(
-    config: Config, actor: ProbabilisticActor, run_dir: Path
+    config: Config, actor: ProbabilisticActor, run_dir: Path, time_use: TimeUse
 ) -> EvaluationHook:
     """Evaluation of ``actor`` while it is trained, into the run's learning curve."""
-    return EvaluationHook(
-        components.make_evaluator(config, episodes=config.evaluation.interval_episodes),
-        actor,
-        config.evaluation.interval,
-        run_dir / LEARNING_CURVE,
-    )
+    evaluator = components.make_evaluator(config, episodes=config.evaluation.interval_episodes)
+    hook = EvaluationHook(evaluator, actor, config.evaluation.interval, run_dir / LEARNING_CURVE)
+    time_use.watch(hook, "evaluate", "evaluate")
+    return hook
 
 
 def seed_everything(seed: int) -> None:

@@ -28,8 +28,12 @@ class StoreHook(TrainerHookBase):
 
     def __call__(self, batch: TensorDictBase) -> TensorDictBase:
         """Stores ``batch`` [N, T] and hands it on unchanged."""
-        self.buffer.extend(self.to_rows(batch))
+        self.store(batch)
         return batch
+
+    def store(self, batch: TensorDictBase) -> None:
+        """Stores the rows of ``batch`` [N, T]."""
+        self.buffer.extend(self.to_rows(batch))
 
     def register(self, trainer: Trainer, name: str = "store") -> None:
         """Registers at ``batch_process``; the buffer is checkpointed as ``main_buffer``."""

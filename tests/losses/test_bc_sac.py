@@ -11,7 +11,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import nn
-from torch.utils._python_dispatch import TorchDispatchMode
+from torch.overrides import TorchFunctionMode
 
 from losses import BCSACLoss, CriticEnsemble, ExponentialWeight
 from tests.losses.toys import (
@@ -187,17 +187,17 @@ def test_both_halves_of_the_actor_share_one_forward_pass_and_equal_the_separate_
             torch.testing.assert_close(one, other)
 
 
-class CountWaits(TorchDispatchMode):
+class CountWaits(TorchFunctionMode):
     """Counts the operations whose result an accelerator's host must wait for."""
 
-    WAITS = ("aten::_local_scalar_dense", "aten::nonzero", "aten::is_nonzero")
+    WAITS = ("item", "tolist", "nonzero", "__bool__", "__int__", "__float__", "cpu", "numpy")
 
     def __init__(self) -> None:
         super().__init__()
         self.count = 0
 
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        self.count += func.name() in self.WAITS
+    def __torch_function__(self, func, types, args=(), kwargs=None):
+        self.count += getattr(func, "__name__", "") in self.WAITS
         return func(*args, **(kwargs or {}))
 
 

@@ -25,7 +25,7 @@ E, B, OBS, A = 3, 7, 5, 2
 
 def member_value(critics: BatchedCritics, member: int, inputs: torch.Tensor) -> torch.Tensor:
     """What one member says, computed layer by layer with ordinary functions."""
-    for layer in critics.layers:
+    for layer in [*critics.hidden.layers, critics.head]:
         if isinstance(layer, EnsembleLinear):
             inputs = F.linear(inputs, layer.weight[member].T, layer.bias[member, 0])
         elif isinstance(layer, EnsembleLayerNorm):
@@ -54,7 +54,7 @@ def test_batched_critics_are_separate_networks(layer_norm: bool):
 
 
 def test_each_member_has_weights_of_its_own():
-    weight = BatchedCritics(OBS, A, [6], E).layers[0].weight
+    weight = BatchedCritics(OBS, A, [6], E).hidden.layers[0].weight
     assert not torch.equal(weight[0], weight[1])
     # Orthogonal per member, not over the stacked tensor.
     torch.testing.assert_close(weight[0].T @ weight[0], torch.eye(6))
@@ -75,7 +75,7 @@ def test_paper_sizes():
     critics = BatchedCritics(38, 28, [1024, 1024], 2)
     linear = [tuple(m.weight.shape) for m in actor.modules() if isinstance(m, nn.Linear)]
     assert linear == [(1024, 38), (1024, 1024), (56, 1024)]
-    stacked = [tuple(m.weight.shape) for m in critics.layers if isinstance(m, EnsembleLinear)]
+    stacked = [tuple(m.weight.shape) for m in critics.modules() if isinstance(m, EnsembleLinear)]
     assert stacked == [(2, 66, 1024), (2, 1024, 1024), (2, 1024, 1)]
 
 

@@ -1,0 +1,28 @@
+"""A policy as a function of tensors."""
+
+from __future__ import annotations
+
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch import Tensor
+from torch.distributions import Distribution
+from torchrl.modules import ProbabilisticActor
+
+
+def policy_distribution(actor: ProbabilisticActor, observation: Tensor) -> Distribution:
+    """Return the distribution of ``actor`` at ``observation [B, O]``.
+
+    An actor of the usual build, one network and one distribution, is called on tensors: carrying
+    them through a tensordict costs 0.4 ms on a CPU, as much as a 256 x 256 network, and an update
+    asks twice. Any other actor goes the way of its own ``get_dist``.
+    """
+    if len(actor.module) == 2 and type(actor[0]) is TensorDictModule:
+        network, head = actor[0], actor[-1]
+        if list(network.out_keys) == list(head.in_keys):
+            outputs = network.module(observation)
+            names = [key[-1] if isinstance(key, tuple) else key for key in head.dist_keys]
+            values = (outputs,) if isinstance(outputs, Tensor) else outputs
+            parameters = dict(zip(names, values, strict=True))
+            return head.distribution_class(**parameters, **(head.distribution_kwargs or {}))
+    (key,) = actor.in_keys
+    return actor.get_dist(TensorDict({key: observation}, [len(observation)]))

@@ -1,0 +1,112 @@
+"""How a run uses the machine: threads and precision, measured where they are left open."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from omegaconf import OmegaConf
+
+from configs.schema import Config
+
+PRECISIONS = {"fp32": None, "bf16": torch.bfloat16}
+"""What the hidden layers compute in; ``None`` is the parameters' own float32."""
+REPEATS = 7
+WORTH_A_THREAD = 0.85
+"""A further thread must take an update's products to this share of the time, or it stays free."""
+WORTH_ROUNDING = 0.7
+"""bfloat16 must take the products to this share of float32's time to be chosen."""
+
+Clock = Callable[[int, torch.dtype], float]
+"""Seconds that the products of an update take with so many threads in this precision."""
+
+
+def resolve_compute(config: Config, clock: Clock | None = None) -> Config:
+    """A copy of ``config`` in which threads and precision are decided.
+
+    ``torch_threads: null`` becomes the smallest count that is not clearly slower than a larger one,
+    among the cores that other work leaves free; ``precision: auto`` becomes bf16 where the machine
+    multiplies matrices of the run's size clearly faster in it, else fp32. The decision is saved
+    with the run: a resumed run, and one that repeats it elsewhere, computes as it did.
+
+    Args:
+        config: A run's configuration.
+        clock: Measures the machine; for tests.
+
+    Raises:
+        ValueError: If a value is not one of those that exist.
+    """
+    if config.precision not in (*PRECISIONS, "auto"):
+        raise ValueError(
+            f"precision must be auto or one of {', '.join(PRECISIONS)}, got {config.precision!r}."
+        )
+    if config.torch_threads is not None and config.torch_threads < 1:
+        raise ValueError(f"torch_threads must be at least 1, got {config.torch_threads}.")
+    if clock is None:
+        clock = _products(config)
+    threads, precision = config.torch_threads, config.precision
+    if threads is None:
+        threads = _fastest_threads(clock) if config.device == "cpu" else _free_cores()
+    if precision == "auto":
+        share = clock(threads, torch.bfloat16) / clock(threads, torch.float32)
+        precision = "bf16" if share < WORTH_ROUNDING else "fp32"
+    decided: Any = OmegaConf.merge(config, {"torch_threads": threads, "precision": precision})
+    return decided
+
+
+def hidden_dtype(config: Config) -> torch.dtype | None:
+    """The precision of the hidden layers of a decided configuration."""
+    return PRECISIONS[config.precision]
+
+
+def _fastest_threads(clock: Clock) -> int:
+    best, best_time = 1, clock(1, torch.float32)
+    for threads in range(2, _free_cores() + 1):
+        seconds = clock(threads, torch.float32)
+        if seconds < WORTH_A_THREAD * best_time:
+            best, best_time = threads, seconds
+    return best
+
+
+def _free_cores() -> int:
+    """Cores of this process that the machine's load of the last minute leaves.
+
+    Threads that wait for a core hold up all others of their operation: two threads beside two
+    busy processes on two cores were 15 times slower than one.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    allowed = os.environ.get("OMP_NUM_THREADS", "")
+    cores = int(allowed) if allowed.isdigit() else cores or 1
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    return max(1, min(cores, round(cores - load)))
+
+
+def _products(config: Config) -> Clock:
+    """Times the matrix products of a critic's hidden layer at this run's sizes."""
+    width = max(config.critic.hidden)
+    rows = round(config.sampler.batch_size * (1 + config.sampler.demo_ratio))
+    shape = (config.critic.num_critics, rows, width)
+
+    def measure(threads: int, dtype: torch.dtype) -> float:
+        before = torch.get_num_threads()
+        torch.set_num_threads(threads)
+        try:
+            x = torch.ones(shape, dtype=dtype, device=config.device)
+            weight = torch.ones(shape[0], width, width, dtype=dtype, device=config.device)
+            times = []
+            for _ in range(REPEATS):
+                began = time.perf_counter()
+                # The forward product, and the two of its backward pass.
+                y = torch.bmm(x, weight)
+                total = torch.bmm(y, weight.mT).sum() + torch.bmm(x.mT, y).sum()
+                total.item()  # an accelerator has finished when its result is here
+                times.append(time.perf_counter() - began)
+        finally:
+            torch.set_num_threads(before)
+        return statistics.median(times)
+
+    return measure

@@ -1,0 +1,75 @@
+"""Where a run's wall time goes."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+from pipeline.run_dir import write_atomically
+
+TIME_USE = "time_use.json"
+OTHER = "other"
+
+
+class TimeUse:
+    """Seconds per part of a run, each without the parts inside it, so that they sum to the whole.
+
+    ``torchrl.timeit`` counts a nested part twice, once more in each part around it.
+    On an accelerator a part's time is what its host waits for, not the device's own.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+        self._open: list[str] = []
+        self._since = 0.0
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """Counts the time inside as ``name``; the part around it stands still meanwhile."""
+        self._book()
+        self._open.append(name)
+        try:
+            yield
+        finally:
+            self._book()
+            self._open.pop()
+
+    def watch(self, thing: Any, method: str, name: str) -> None:
+        """Counts the calls of one object's method as ``name``, from now on."""
+        setattr(thing, method, self.timed(getattr(thing, method), name))
+
+    def timed(self, function: Callable[..., Any], name: str) -> Callable[..., Any]:
+        """``function``, counted as ``name``."""
+
+        @wraps(function)
+        def counted(*arguments: Any, **options: Any) -> Any:
+            with self.part(name):
+                return function(*arguments, **options)
+
+        return counted
+
+    def write(self, run_dir: Path) -> None:
+        """Writes ``time_use.json``: the parts in seconds, longest first, and their sum."""
+        parts = dict(sorted(self.seconds.items(), key=lambda part: -part[1]))
+        report = {"wall_s": sum(parts.values()), "parts_s": parts}
+        write_atomically(run_dir / TIME_USE, json.dumps(report, indent=2) + "\n")
+
+    def state_dict(self) -> dict[str, float]:
+        """Seconds so far: those of a resumed run go on."""
+        return dict(self.seconds)
+
+    def load_state_dict(self, state: dict[str, float]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self.seconds = defaultdict(float, state)
+
+    def _book(self) -> None:
+        now = time.perf_counter()
+        if self._open:
+            self.seconds[self._open[-1]] += now - self._since
+        self._since = now
