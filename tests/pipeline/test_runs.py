@@ -180,7 +180,7 @@ def test_the_run_directory_says_what_was_run(tmp_path: Path, demos: Path):
     saved.torch_threads = config.torch_threads
     assert OmegaConf.to_container(saved) == OmegaConf.to_container(config)
     assert "${" not in (run.run_dir / CONFIG).read_text()
-    assert load_config(run.run_dir) == config
+    assert load_config(run.run_dir) == run.config
     versions = json.loads((run.run_dir / VERSIONS).read_text())
     assert versions["packages"]["torch"] == torch.__version__
     assert {"python", "git", "git_dirty"} <= set(versions)
