@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 import torch
@@ -60,7 +60,8 @@ class BCSACLoss(LossModule):
     Args:
         actor: policy over one observation key with a ``TanhNormal``-like distribution on (-1, 1).
         critic: module ``(observation [B, O], action [B, A]) -> [E, B, 1]``, or a list of modules
-            that return ``[B, 1]`` each.
+            that return ``[B, 1]`` each. If it has ``num_critics`` and its ``forward`` takes
+            ``members [M]`` too, the critics that ``target_subset`` leaves out are not run.
         gamma: discount per environment step, in [0, 1].
         init_temperature: initial entropy weight alpha, > 0.
         target_entropy: in nats; ``"auto"`` is minus the number of action dimensions, read from
@@ -157,7 +158,10 @@ class BCSACLoss(LossModule):
         self.updates = 0
         self._imitation_error = F.IMITATION_ERRORS[imitation]
         self._actor_value = F.ENSEMBLE_VALUES[actor_value]
-        self._target_value = partial(F.subset_minimum, size=target_subset)
+        self._target_subset = target_subset
+        takes_members = "members" in inspect.signature(self.critic.forward).parameters
+        size = getattr(self.critic, "num_critics", None) if takes_members else None
+        self._ensemble_size: int | None = size
         # The averaging function of AveragedModel without its shell, which copies instead of
         # averaging at the first update and reads a counter back from the device at each.
         self._average = get_ema_multi_avg_fn(1.0 - tau)
@@ -322,13 +326,21 @@ class BCSACLoss(LossModule):
         return F.soft_td_target(
             reward=batch["next", keys.reward],
             terminated=batch["next", keys.terminated],
-            next_q=self._target_value(self.target_critic(next_observation, next_action)),
+            next_q=self._target_value(next_observation, next_action),
             next_log_prob=next_log_prob,
             temperature=self.alpha,
             gamma=self.gamma,
             steps=batch.get(keys.steps_to_next_obs, None),
             entropy_in_target=self.entropy_in_target,
         )
+
+    def _target_value(self, observation: Tensor, action: Tensor) -> Tensor:
+        """Return the minimum ``[R, 1]`` over the target critics, or over a random few (REDQ)."""
+        size = self._target_subset
+        if size is None or self._ensemble_size is None:
+            return F.subset_minimum(self.target_critic(observation, action), size)
+        members = F.draw_members(self._ensemble_size, size, observation.device)
+        return F.subset_minimum(self.target_critic(observation, action, members=members))
 
     def _reinforcement(
         self, observation: Tensor, action: Tensor, log_prob: Tensor

@@ -24,6 +24,15 @@ class CriticEnsemble(nn.Module):
             raise ValueError("a critic ensemble needs at least one critic")
         self.critics = nn.ModuleList(critics)
 
-    def forward(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Return the values ``[E, B, 1]`` of ``observation [B, O]`` and ``action [B, A]``."""
-        return torch.stack([critic(observation, action) for critic in self.critics])
+    @property
+    def num_critics(self) -> int:
+        """E."""
+        return len(self.critics)
+
+    def forward(self, observation: Tensor, action: Tensor, members: Tensor | None = None) -> Tensor:
+        """Return the values ``[E, B, 1]`` of ``observation [B, O]`` and ``action [B, A]``.
+
+        Of ``members [M]`` only, where some are named: ``[M, B, 1]``.
+        """
+        chosen = range(len(self.critics)) if members is None else members.tolist()
+        return torch.stack([self.critics[index](observation, action) for index in chosen])

@@ -1,7 +1,7 @@
 """The arithmetic of BC-SAC as pure functions of tensors.
 
 Every function here takes and returns tensors, reads no module, draws no sample (except
-:func:`subset_minimum`, which takes its generator) and **does not reduce over rows**: it returns one
+:func:`subset_minimum` and its draw, which take their generator) and **does not reduce over rows**: it returns one
 value per transition, ``[B]``. Which rows take part, and the denominator of their mean, is the
 business of the caller (:class:`losses.BCSACLoss`).
 
@@ -211,12 +211,28 @@ def subset_minimum(
         ValueError: if ``q`` is not ``[E, B, 1]`` or ``size`` is not in 1 to E.
     """
     _require_ensemble(q)
-    ensemble = len(q)
+    members = draw_members(len(q), size, q.device, generator)
+    return (q if members is None else q[members]).min(0).values
+
+
+def draw_members(
+    ensemble: int,
+    size: int | None,
+    device: torch.device | str = "cpu",
+    generator: torch.Generator | None = None,
+) -> Tensor | None:
+    """Indices ``[size]`` of the critics that a subset minimum takes; ``None`` for all of them.
+
+    Drawing before the critics run saves running those that do not take part.
+
+    Raises:
+        ValueError: if ``size`` is not in 1 to ``ensemble``.
+    """
     if size is not None and not 1 <= size <= ensemble:
         raise ValueError(f"the subset minimum needs 1 to {ensemble} critics, not {size}")
-    if size is not None and size < ensemble:
-        q = q[torch.randperm(ensemble, generator=generator, device=q.device)[:size]]
-    return q.min(0).values
+    if size is None or size == ensemble:
+        return None
+    return torch.randperm(ensemble, generator=generator, device=device)[:size]
 
 
 def ensemble_mean(q: Tensor) -> Tensor:

@@ -16,13 +16,27 @@ def policy_distribution(actor: ProbabilisticActor, observation: Tensor) -> Distr
     them through a tensordict costs 0.4 ms on a CPU, as much as a 256 x 256 network, and an update
     asks twice. Any other actor goes the way of its own ``get_dist``.
     """
-    if len(actor.module) == 2 and type(actor[0]) is TensorDictModule:
-        network, head = actor[0], actor[-1]
-        if list(network.out_keys) == list(head.in_keys):
-            outputs = network.module(observation)
+    network, head = actor[0], actor[-1]
+    if (
+        len(actor.module) == 2
+        and _is_function_of_one_tensor(network)
+        and list(network.out_keys) == list(head.in_keys)
+    ):
+        outputs = network.module(observation)
+        values = (outputs,) if isinstance(outputs, Tensor) else outputs
+        if isinstance(values, tuple):  # a dict's entries go by name, whatever their order
             names = [key[-1] if isinstance(key, tuple) else key for key in head.dist_keys]
-            values = (outputs,) if isinstance(outputs, Tensor) else outputs
             parameters = dict(zip(names, values, strict=True))
             return head.distribution_class(**parameters, **(head.distribution_kwargs or {}))
     (key,) = actor.in_keys
     return actor.get_dist(TensorDict({key: observation}, [len(observation)]))
+
+
+def _is_function_of_one_tensor(network: TensorDictModule) -> bool:
+    """Whether ``network`` calls its module with its input alone, neither by name nor by method."""
+    return (
+        type(network) is TensorDictModule
+        and network.method is None
+        and not network.method_kwargs
+        and network._kwargs is None
+    )

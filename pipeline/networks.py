@@ -12,6 +12,7 @@ from itertools import pairwise
 import torch
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
+from torch.func import functional_call
 from torchrl.modules import MLP, ProbabilisticActor
 
 from losses import SquashedNormal
@@ -169,10 +170,17 @@ class BatchedCritics(nn.Module):
         self.hidden = HiddenLayers(nn.Sequential(*layers), hidden_dtype)
         self.head = EnsembleLinear(num_critics, sizes[-1], 1)
 
-    def forward(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Maps observation ``[B, O]`` and action ``[B, A]`` to values ``[E, B, 1]``."""
+    def forward(self, observation: Tensor, action: Tensor, members: Tensor | None = None) -> Tensor:
+        """Maps observation ``[B, O]`` and action ``[B, A]`` to values ``[E, B, 1]``.
+
+        Of ``members [M]`` only, where some are named: ``[M, B, 1]``.
+        """
+        if members is not None:
+            # Every parameter has a leading dimension of members.
+            chosen = {name: value[members] for name, value in self.named_parameters()}
+            return functional_call(self, chosen, (observation, action))
         x = torch.cat([self.normalizer(observation), action], dim=-1)
-        return self.head(self.hidden(x.expand(self.num_critics, *x.shape)))
+        return self.head(self.hidden(x.expand(len(self.head.weight), *x.shape)))
 
 
 def make_actor(

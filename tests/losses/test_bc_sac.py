@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections import Counter
+from typing import ClassVar
 
 import pytest
 import torch
@@ -437,3 +438,39 @@ def test_state_survives_a_file_and_keeps_the_parameters_identity() -> None:
     assert target.updates == 3
     for name, value in source.state_dict().items():
         assert torch.equal(value, target.state_dict()[name]), name
+
+
+class CountingCritics(CriticEnsemble):
+    """Notes how many members each call runs."""
+
+    ran: ClassVar[list[int]] = []
+
+    def forward(self, observation, action, members=None):
+        q = super().forward(observation, action, members)
+        self.ran.append(len(q))
+        return q
+
+
+class WithoutMembers(nn.Module):
+    """An ensemble that cannot run a part of itself."""
+
+    def __init__(self, critics: CriticEnsemble) -> None:
+        super().__init__()
+        self.critics = critics
+
+    def forward(self, observation, action):
+        return self.critics(observation, action)
+
+
+def test_critics_outside_the_target_subset_are_not_run() -> None:
+    critics = CountingCritics([Critic() for _ in range(5)])
+    batch = make_batch(6, demo_rows=None)
+    targets = []
+    actor = make_actor()
+    for critic in (critics, WithoutMembers(critics)):
+        critics.ran.clear()
+        loss = BCSACLoss(actor, critic, target_subset=2)
+        torch.manual_seed(3)
+        targets.append(loss.critic_terms(batch).target)
+        assert critics.ran == ([2, 5] if critic is critics else [5, 5])
+    torch.testing.assert_close(*targets)

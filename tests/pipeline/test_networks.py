@@ -159,3 +159,14 @@ def test_networks_look_through_their_normaliser(part: str):
 def test_an_empty_ensemble_is_refused():
     with pytest.raises(ValueError, match=r"critic\.num_critics must be at least 1, got 0"):
         BatchedCritics(OBS, A, [4], 0)
+
+
+@pytest.mark.parametrize("layer_norm", [False, True])
+def test_named_members_alone_give_their_own_values(layer_norm: bool):
+    critics = BatchedCritics(OBS, A, [6, 4], E, layer_norm=layer_norm)
+    randomise(critics)
+    observation, action = torch.randn(B, OBS), torch.randn(B, A)
+    members = torch.tensor([2, 0])
+    torch.testing.assert_close(
+        critics(observation, action, members=members), critics(observation, action)[members]
+    )
