@@ -1,9 +1,9 @@
 """The arithmetic of BC-SAC as pure functions of tensors.
 
 Every function here takes and returns tensors, reads no module, draws no sample (except
-:func:`subset_minimum` and its draw, which take their generator) and **does not reduce over rows**: it returns one
-value per transition, ``[B]``. Which rows take part, and the denominator of their mean, is the
-business of the caller (:class:`losses.BCSACLoss`).
+:func:`subset_minimum` and its draw, which take their generator) and **does not reduce over rows**:
+it returns one value per transition, ``[B]``. Which rows take part, and the denominator of their
+mean, is the business of the caller (:class:`losses.BCSACLoss`).
 
 Notation: ``B`` transitions, ``A`` action dimensions, ``E`` critics. A *column* is a ``[B, 1]``
 tensor, as TorchRL stores rewards and terminations. Equations are those of the paper, "Augmenting
