@@ -77,6 +77,11 @@ video: $(STAMP) ## film RUN=dir opening doors [EPISODES=n] [OUT=file]
 
 ##@ Develop
 
+.PHONY: bench
+bench: ## measure speed and memory against other packages [SECTION="update loop"] [QUICK=1] [OUT=dir] [ARGS="..."]
+	@$(MAKE) --no-print-directory install EXTRAS="$(if $(EXTRAS),$(EXTRAS)$(comma))bench" ARGS=
+	@$(RUN_PYTHON) -m benchmarks $(addprefix --section ,$(SECTION)) $(if $(QUICK),--quick) $(OUT_ARGS) $(ARGS)
+
 .PHONY: test
 test: $(STAMP) ## run the tests [ARGS="-k name" or "-m slow" or a path]
 	@OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV_PYTHON) -m pytest -q -n auto --maxprocesses 4 $(ARGS)

@@ -79,10 +79,10 @@ def _free_cores() -> int:
     busy processes on two cores were 15 times slower than one.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    allowed = os.environ.get("OMP_NUM_THREADS", "")
-    cores = int(allowed) if allowed.isdigit() else cores or 1
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
-    return max(1, min(cores, round(cores - load)))
+    free = round((cores or 1) - load)
+    allowed = os.environ.get("OMP_NUM_THREADS", "")
+    return max(1, min(free, int(allowed)) if allowed.isdigit() else free)
 
 
 def _products(config: Config) -> Clock:

@@ -65,8 +65,9 @@ class TimeUse:
         return dict(self.seconds)
 
     def load_state_dict(self, state: dict[str, float]) -> None:
-        """Restores what :meth:`state_dict` gave."""
-        self.seconds = defaultdict(float, state)
+        """Adds what :meth:`state_dict` gave to what this run has taken so far, its own setup."""
+        for part, seconds in state.items():
+            self.seconds[part] += seconds
 
     def _book(self) -> None:
         now = time.perf_counter()

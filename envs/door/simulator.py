@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import os
 from collections import deque
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import Self
 
@@ -14,9 +13,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from envs.door.physics import DoorPhysics, PhysicsDivergedError, state_size
+from envs.door.physics import DoorPhysics, DoorStates, PhysicsDivergedError, mujoco_data
 from envs.door.scene import build_scene
-from envs.door.task import ACTION_SIZE, OBSERVATION_SIZE
+from envs.door.task import ACTION_SIZE, HANDLE, HINGE, OBSERVATION_SIZE, PALM, PALM_TO_HANDLE
 
 __all__ = ["DoorSimulator", "PhysicsDivergedError", "available_cores"]
 
@@ -31,10 +30,9 @@ def available_cores() -> int:
 class DoorSimulator:
     """`num_doors` independent doors behind one array interface.
 
-    The door's position is a property of the *model*, so there is one `MjModel` per thread and the
-    position is written into it before each door is advanced. MuJoCo's bindings release the GIL, so
-    plain threads scale. Doors never interact: a trajectory does not depend on the number of doors
-    or threads. What one control step is: see `envs.door.physics`.
+    MuJoCo's bindings release the GIL, so plain threads scale; each has its own MuJoCo model and
+    data, through which doors pass in turn. Doors never interact: a trajectory does not depend on
+    the number of doors or threads. What one control step is: see `envs.door.physics`.
 
     Args:
         num_doors: Number of doors, N >= 1.
@@ -53,37 +51,49 @@ class DoorSimulator:
         self.num_doors = num_doors
         self.num_threads = min(num_threads or available_cores(), num_doors)
         self.scene = build_scene()
-        model, frame = self.scene.model, self.scene.frame_body
-        self._models = [model, *(copy.copy(model) for _ in range(self.num_threads - 1))]
-        self._frames = [worker_model.body_pos[frame] for worker_model in self._models]
-        self._pool = ThreadPoolExecutor(self.num_threads) if self.num_threads > 1 else None
-        self._doors = [DoorPhysics(self.scene) for _ in range(num_doors)]
-        self._door_position = np.zeros((num_doors, 3))
-        self._observation = np.zeros((num_doors, OBSERVATION_SIZE))
-        self.reset(np.tile(model.body_pos[frame], (num_doors, 1)))
+        model = self.scene.model
+        self._states = DoorStates(model, num_doors)
+        self._physics = [DoorPhysics(self.scene) for _ in range(self.num_threads)]
+        # The calling thread works too, so that one thread fewer has to be woken for each step.
+        self._pool = ThreadPoolExecutor(self.num_threads - 1) if self.num_threads > 1 else None
+        # The arm's sliding joint (0) is not observed, and the observation has the latch first.
+        hinge, latch = self.scene.hinge_qpos, self.scene.latch_qpos
+        self._observed_joints = np.r_[1:hinge, latch, hinge]
+        self.reset(np.tile(model.body_pos[self.scene.frame_body], (num_doors, 1)))
 
     @property
     def door_position(self) -> NDArray[np.float64]:
         """Positions of the door frames, shape [N, 3], m (a copy)."""
-        return self._door_position.copy()
+        return self._states.position.copy()
 
     @property
     def qpos(self) -> NDArray[np.float64]:
         """Joint positions, shape [N, 30], rad and m (a copy): 28 of the hand, hinge, latch."""
-        return np.stack([door.data.qpos for door in self._doors])
+        return self._states.qpos.copy()
 
     @property
     def qvel(self) -> NDArray[np.float64]:
         """Joint velocities, shape [N, 30], rad/s and m/s (a copy)."""
-        return np.stack([door.data.qvel for door in self._doors])
+        return self._states.qvel.copy()
 
     def observation(self) -> NDArray[np.float32]:
         """Current observations of all doors, shape [N, 38] (laid out as in `envs.door.task`)."""
-        return self._observation.astype(np.float32)
+        states = self._states
+        observation = np.empty((self.num_doors, OBSERVATION_SIZE), dtype=np.float32)
+        # A diverged door's numbers may not fit: `PhysicsDivergedError` has told, NumPy need not.
+        with np.errstate(over="ignore", invalid="ignore"):
+            observation[:, : HINGE + 1] = states.qpos[:, self._observed_joints]
+            observation[:, PALM] = states.palm
+            observation[:, HANDLE] = states.handle
+            observation[:, PALM_TO_HANDLE] = states.palm - states.handle
+        return observation
 
     def data(self, door: int) -> mujoco.MjData:
-        """The live MuJoCo data of one door, for rendering. Read it, do not write it."""
-        return self._doors[door].data
+        """A copy of one door as MuJoCo data of `scene.model`, for rendering.
+
+        The door frame of `scene.model` is put where this door stands.
+        """
+        return mujoco_data(self.scene, self._states, door)
 
     def reset(
         self,
@@ -117,11 +127,10 @@ class DoorSimulator:
         start_qpos = rest if qpos is None else _checked(qpos, rest.shape, "qpos")
         start_qvel = rest if qvel is None else _checked(qvel, rest.shape, "qvel")
         for row, index in enumerate(chosen):
-            self._door_position[index] = self._frames[0][:] = position[row]
-            self._doors[index].reset(model, start_qpos[row], start_qvel[row])
-            self._doors[index].observe(self._observation[index])
+            self._states.position[index] = position[row]
+            self._physics[0].reset(self._states, index, start_qpos[row], start_qvel[row])
         self._raise_if_diverged(chosen)
-        return self._observation[chosen].astype(np.float32)
+        return self.observation()[chosen]
 
     def step(self, action: ArrayLike, mask: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
         """Advance doors by one control step (0.01 s).
@@ -144,22 +153,14 @@ class DoorSimulator:
         if active.shape != (self.num_doors,) or active.dtype != bool:
             raise ValueError(f"mask must be bool of shape ({self.num_doors},), got {active}")
         chosen = np.flatnonzero(active)
-        # A shared queue, not fixed shares: doors in contact take longer than free ones.
-        queue = deque(chosen.tolist())
-        if self._pool is None:
-            self._work(0, queue, control)
-        else:
-            workers = range(self.num_threads)
-            tasks = [self._pool.submit(self._work, worker, queue, control) for worker in workers]
-            for task in tasks:
-                task.result()
+        self._states.control[chosen] = control[chosen]
+        self._advance(chosen)
         self._raise_if_diverged(chosen)
         return self.observation()
 
     def get_state(self) -> dict[str, NDArray[np.float64]]:
         """What a bit-exact continuation needs: ``physics`` [N, 342], ``door_position`` [N, 3]."""
-        physics = np.stack([door.get_state(self.scene.model) for door in self._doors])
-        return {"physics": physics, "door_position": self.door_position}
+        return {"physics": self._states.physics.copy(), "door_position": self.door_position}
 
     def set_state(self, state: Mapping[str, ArrayLike]) -> None:
         """Continue from what `get_state` returned.
@@ -168,14 +169,12 @@ class DoorSimulator:
             KeyError: If an entry is missing.
             ValueError: If an entry's shape does not fit this simulator or a number is not finite.
         """
-        model = self.scene.model
-        physics_shape = (self.num_doors, state_size(model))
-        physics = _checked(state["physics"], physics_shape, "state['physics']")
+        states = self._states
+        physics = _checked(state["physics"], states.physics.shape, "state['physics']")
         position = _checked(state["door_position"], (self.num_doors, 3), "state['door_position']")
-        for index, door in enumerate(self._doors):
-            self._door_position[index] = self._frames[0][:] = position[index]
-            door.set_state(model, physics[index])
-            door.observe(self._observation[index])
+        states.physics[:], states.position[:] = physics, position
+        for door in range(self.num_doors):
+            self._physics[0].place(states, door)
 
     def close(self) -> None:
         """Stop the threads. Calling it twice is fine."""
@@ -193,22 +192,22 @@ class DoorSimulator:
     ) -> None:
         self.close()
 
-    def _work(self, worker: int, queue: deque[int], control: NDArray[np.float64]) -> None:
-        """Advance doors from the queue until it is empty, with this worker's own model."""
-        model, frame = self._models[worker], self._frames[worker]
-        while True:
-            try:
-                index = queue.popleft()
-            except IndexError:
-                return
-            frame[:] = self._door_position[index]
-            self._doors[index].advance(model, control[index])
-            self._doors[index].observe(self._observation[index])
+    def _advance(self, doors: NDArray[np.int64]) -> None:
+        # A shared queue, not fixed shares: doors in contact take longer than free ones.
+        queue = deque(doors.tolist())
+        mine, *others = self._physics
+        tasks: list[Future[None]] = []
+        if self._pool is not None:
+            tasks = [self._pool.submit(other.advance, self._states, queue) for other in others]
+        mine.advance(self._states, queue)
+        for task in tasks:
+            task.result()
 
     def _raise_if_diverged(self, chosen: NDArray[np.int64]) -> None:
-        broken = [int(index) for index in chosen if self._doors[index].diverged]
-        if broken:
-            raise PhysicsDivergedError(broken)
+        self._states.flag_bad_numbers(chosen)
+        broken = chosen[self._states.diverged[chosen]]
+        if len(broken):
+            raise PhysicsDivergedError(broken.tolist())
 
 
 def _checked(values: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:

@@ -91,15 +91,16 @@ def test_da_sac_counts_its_extra_updates_as_updates():
 
 def test_a_whole_run_is_extrapolated_from_its_parts():
     timed = {
+        "opening_s": 8.0,
         "random_frames": 10.0,
         "random_s": 1.0,
         "learning_frames": 20.0,
         "learning_s": 4.0,
         "closing_s": 6.0,
     }
-    # 0.1 s x 1000 + 0.2 s x 9000 + 6 s x 2 = 1912 s.
+    # 8 s + 0.1 s x 1000 + 0.2 s x 9000 + 6 s x 2 = 1920 s.
     found = extrapolate(timed, total_frames=10_000, random_frames=1_000, evaluations=2)
-    assert found["hours"] == pytest.approx(1912 / 3600, abs=1e-3)
+    assert found["hours"] == pytest.approx(1920 / 3600, abs=1e-3)
     assert found["ms_per_learning_frame"] == 200.0
 
 

@@ -54,7 +54,7 @@ def test_bars_compare_in_their_direction():
 def test_an_update_block_reports_the_fastest_way_and_its_share():
     from benchmarks import ours, roofline, update
 
-    ways = [f"ours_{v}_{p}" for v in update.VARIANTS for p in ours.precisions()]
+    ways = [f"ours_{v}_{p}" for v in update.VARIANTS for p in ours.PRECISIONS]
     seconds = dict.fromkeys([*ways, "sb3", "sbx_single", "sbx_looped", "torchrl"], 0.010)
     seconds |= {"ours_bc_sac_fp32": 0.004, "sb3": 0.012, "sbx_looped": 0.006}
     timings = {name: Timing([s, s, s], 100.0) for name, s in seconds.items()}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from dm_control import mujoco
 from hypothesis import settings
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from envs.door.scene import model_path
 from envs.door.simulator import DoorSimulator
@@ -30,11 +30,13 @@ class ReferenceDoor:
                 self.physics.named.model.actuator_gainprm[f"A_{name}", :3] = [stiffness, 0, 0]
                 self.physics.named.model.actuator_biasprm[f"A_{name}", :3] = [0, -stiffness, 0]
 
-    def reset(self, door_position: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reset(
+        self, door_position: NDArray[np.float64], qpos: ArrayLike = 0.0, qvel: ArrayLike = 0.0
+    ) -> NDArray[np.float64]:
         self.physics.reset()
         self.physics.named.model.body_pos["frame"] = door_position
-        self.physics.data.qpos[:] = 0
-        self.physics.data.qvel[:] = 0
+        self.physics.data.qpos[:] = qpos
+        self.physics.data.qvel[:] = qvel
         self.physics.forward()
         return self.observation()
 

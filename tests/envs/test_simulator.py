@@ -45,6 +45,16 @@ def test_equals_dm_control_physics_exactly(reference_door, rng):
     assert contacts > 0
 
 
+def test_starts_in_motion_as_dm_control_does(reference_door, one_door, rng):
+    qpos, qvel = rng.uniform(-0.3, 0.3, 30), rng.uniform(-1, 1, 30)
+    first = one_door.reset(DOOR[None], qpos=qpos[None], qvel=qvel[None])[0]
+    expected = reference_door.reset(DOOR, qpos, qvel)
+    np.testing.assert_array_equal(first, expected.astype(np.float32))
+    for action in held_actions(rng, 20, 1):
+        expected = reference_door.step(action[0])
+        np.testing.assert_array_equal(one_door.step(action)[0], expected.astype(np.float32))
+
+
 def test_observation_layout(one_door):
     """Every entry where `task` says it is: identifiable joint angles."""
     qpos = np.arange(30)[None] / 100
@@ -159,6 +169,44 @@ def test_divergence_names_the_door_and_is_not_hidden():
         # The door is usable again after a reset.
         simulator.reset(doors(3)[[1]], indices=[1])
         assert np.isfinite(simulator.step(np.zeros((3, 28)))).all()
+
+
+def test_a_diverged_door_leaves_no_trace_in_its_neighbours(rng):
+    """All doors pass through the same MuJoCo data, one after the other."""
+    qvel, actions = np.zeros((3, 30)), held_actions(rng, 20, 3)
+    with DoorSimulator(3, num_threads=1) as simulator:
+        simulator.reset(doors(3))
+        expected = play(simulator, actions)
+        qvel[1, 0] = 1e9
+        simulator.reset(doors(3), qvel=qvel)
+        for step, action in enumerate(actions):
+            with pytest.raises(PhysicsDivergedError, match=r"doors \[1\]"):
+                simulator.step(action)
+            observation = simulator.observation()
+            np.testing.assert_array_equal(observation[[0, 2]], expected[step, [0, 2]])
+
+
+def test_a_start_beyond_what_mujoco_handles_is_refused(one_door):
+    with pytest.raises(PhysicsDivergedError, match=r"doors \[0\]"):
+        one_door.reset(DOOR[None], qpos=np.full((1, 30), 1e11))
+
+
+def test_data_is_an_up_to_date_copy(rng):
+    with DoorSimulator(2) as simulator:
+        simulator.reset(doors(2))
+        play(simulator, held_actions(rng, 20, 2))
+        observation = simulator.observation()
+        for door in range(2):
+            data = simulator.data(door)
+            np.testing.assert_array_equal(data.qpos, simulator.qpos[door])
+            np.testing.assert_array_equal(
+                np.float32(data.site("S_handle").xpos), observation[door, task.HANDLE]
+            )
+            # As it is drawn, not only where its sites are.
+            np.testing.assert_array_equal(data.body("frame").xpos, simulator.door_position[door])
+            data.qpos[:] = 7.0
+        np.testing.assert_array_equal(simulator.observation(), observation)
+        assert (simulator.qpos != 7.0).all()
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,13 @@ from typing import ClassVar
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from tensordict import TensorDict
 from torch import nn
 from torch.overrides import TorchFunctionMode
 
-from losses import BCSACLoss, CriticEnsemble, ExponentialWeight
+from losses import BCSACLoss, CriticEnsemble, ExponentialWeight, SquashedNormal
 from tests.losses.toys import (
     ACTION_SIZE,
     ConstantCritics,
@@ -127,6 +128,80 @@ def test_leaving_rows_out_keeps_states_actions_and_densities_together() -> None:
     alone = loss.actor_terms(batch)
     torch.testing.assert_close(alone.q, among_all.q[others])
     torch.testing.assert_close(alone.log_prob, among_all.log_prob[others])
+
+
+class RowNoise(SquashedNormal):
+    """Draws noise that belongs to the row, wherever in the batch the row is."""
+
+    def _noise(self, sample_shape: object) -> torch.Tensor:
+        return torch.sin(1e4 * self.loc.detach())
+
+
+@given(order=st.permutations(range(10)), demo_rows=st.integers(0, 9))
+@settings(deadline=None, derandomize=True, max_examples=40)
+@pytest.mark.parametrize("rl_on_demos", [False, True])
+def test_no_term_cares_where_the_demonstrations_are(
+    rl_on_demos: bool, order: list[int], demo_rows: int
+) -> None:
+    """Demonstrations last are cut off by a slice, others by their indices: to the same effect."""
+    loss = make_loss(rl_on_demos=rl_on_demos)
+    loss.actor[-1].distribution_class = RowNoise
+    batch = make_batch(10, demo_rows)
+    trained = nn.ModuleList([loss.actor, loss.critic, nn.ParameterList([loss.log_alpha])])
+    found = []
+    for rows in (batch, batch[order]):
+        terms = loss(rows)
+        total = sum(terms[name] for name in loss.out_keys if name.startswith("loss_"))
+        found.append([*terms.values(), *gradients(total, trained)])
+    torch.testing.assert_close(*found)
+
+
+def rows_seen(loss: BCSACLoss, batch: TensorDict) -> dict[str, torch.Tensor]:
+    """The tensors that the networks are called with in the two halves of an update."""
+    seen = {}
+    handles = [
+        loss.critic.register_forward_pre_hook(
+            lambda _, inputs: seen.setdefault("critic", inputs) and None
+        ),
+        loss.actor[0].module.register_forward_pre_hook(
+            lambda _, inputs: seen.setdefault("target's actor", inputs) and None
+        ),
+    ]
+    loss.critic_terms(batch)
+    found = {"observation": seen["critic"][0], "action": seen["critic"][1]}
+    found["next observation"] = seen["target's actor"][0]
+    seen.clear()
+    loss.actor_terms(batch)
+    found["actor's critic"] = seen["critic"][0]
+    for handle in handles:
+        handle.remove()
+    return found
+
+
+@given(marks=st.lists(st.booleans(), min_size=1, max_size=12).filter(lambda marks: not all(marks)))
+@settings(deadline=None, derandomize=True, max_examples=60)
+def test_the_critics_see_the_other_rows_in_their_order(marks: list[bool]) -> None:
+    batch = make_batch(len(marks), demo_rows=0)
+    batch["is_demo"] = torch.tensor(marks).unsqueeze(-1)
+    others = ~batch["is_demo"].squeeze(-1)
+    seen = rows_seen(make_loss(), batch)
+    assert torch.equal(seen["observation"], batch["observation"][others])
+    assert torch.equal(seen["action"], batch["action"][others])
+    assert torch.equal(seen["next observation"], batch["next", "observation"][others])
+    assert torch.equal(seen["actor's critic"], batch["observation"][others])
+
+
+@pytest.mark.parametrize("demo_rows", [None, 0, 4])
+def test_rows_before_the_demonstrations_are_not_copied(demo_rows: int | None) -> None:
+    def in_place(batch: TensorDict) -> dict[str, bool]:
+        entries = {name: batch[name] for name in ("observation", "action")}
+        entries["next observation"] = batch["next", "observation"]
+        entries["actor's critic"] = batch["observation"]
+        seen = rows_seen(make_loss(), batch)
+        return {name: seen[name].data_ptr() == entries[name].data_ptr() for name in seen}
+
+    assert set(in_place(make_batch(12, demo_rows)).values()) == {True}
+    assert set(in_place(make_batch(12, 4)[torch.arange(11, -1, -1)]).values()) == {False}
 
 
 def test_a_batch_of_demonstrations_can_be_imitated_and_with_rl_on_demos_reinforced() -> None:

@@ -124,3 +124,47 @@ def test_the_grown_part_gets_its_share_on_average():
     assert set(counts) == {1, 2}
     # The standard error is sqrt(0.25 * 0.75 / 2000) < 0.01.
     assert sum(counts) / 2000 == pytest.approx(1.25, abs=0.04)
+
+
+@pytest.mark.parametrize(("batches", "n"), [(1, 5), (4, 5), (3, 1)])
+@pytest.mark.parametrize("grown_rows", [None, 0, 10])
+def test_batches_of_d_have_n_rows_each_the_core_s_first(
+    batches: int, n: int, grown_rows: int | None
+):
+    grown = None if grown_rows is None else GrownDemonstrations(capacity=100)
+    if grown is not None and grown_rows:
+        grown.add(tagged_rows(GROWN, grown_rows), record(grown_rows))
+    d = DemonstrationDistribution(make_core_buffer(tagged_rows(CORE, 30)), grown)
+    for _ in range(10):
+        drawn = d.sample_batches(batches, n)
+        assert drawn.batch_size == (batches, n)
+        from_grown = drawn["observation"][..., 0] == GROWN
+        assert torch.equal(from_grown, from_grown.sort(dim=1).values)
+        assert from_grown.any().item() <= bool(grown_rows)
+        # A row's entries stay together.
+        assert torch.equal(drawn["observation"][..., :1], drawn["next", "reward"])
+
+
+@pytest.mark.parametrize("grown_rows", [10, 270])
+def test_the_grown_part_s_share_is_exact_on_average_in_every_batch(grown_rows: int):
+    """10 rows of 40 make 1.25 of 5; 270 of 300 make 4.5 of 5. The rounding is the draw's."""
+    grown = GrownDemonstrations(capacity=1000)
+    grown.add(tagged_rows(GROWN, grown_rows), record(grown_rows))
+    d = DemonstrationDistribution(make_core_buffer(tagged_rows(CORE, 30)), grown)
+    expected = 5 * grown_rows / (grown_rows + 30)
+    drawn = [d.sample_batches(3, 5)["observation"][..., 0] == GROWN for _ in range(2000)]
+    counts = torch.stack(drawn).sum(-1)  # [2000, 3]
+    assert set(counts.unique().tolist()) == {math.floor(expected), math.ceil(expected)}
+    # The standard error is at most sqrt(0.25 / 2000) < 0.012.
+    for mean in counts.double().mean(0).tolist():
+        assert mean == pytest.approx(expected, abs=0.045)
+
+
+def test_batches_of_d_drawn_together_are_draws_of_their_own():
+    """Neighbouring batches agree in a row as often as chance has it: one in ten."""
+    d = DemonstrationDistribution(
+        make_core_buffer(torch.cat([tagged_rows(float(tag), 1) for tag in range(10)]))
+    )
+    drawn = d.sample_batches(1000, 5)["observation"][..., 0]
+    # The standard error is sqrt(0.1 * 0.9 / 4995) < 0.0043.
+    assert (drawn[1:] == drawn[:-1]).float().mean().item() == pytest.approx(0.1, abs=0.018)

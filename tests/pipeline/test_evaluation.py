@@ -99,6 +99,23 @@ def test_the_callers_randomness_and_mode_are_left_alone(policy: nn.Module, explo
     assert policy.training
 
 
+def test_torch_keeps_to_one_thread_until_the_end():
+    before, seen = torch.get_num_threads(), []
+
+    class Watching(nn.Module):
+        def forward(self, td: TensorDictBase) -> TensorDictBase:
+            seen.append(torch.get_num_threads())
+            return td.set("action", torch.zeros(*td.batch_size, 28))
+
+    try:
+        torch.set_num_threads(2)
+        evaluator(episodes=1, horizon=2).run(Watching())
+        assert seen == [1, 1]
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+
+
 def test_the_policy_is_evaluated_in_evaluation_mode():
     modes = []
 

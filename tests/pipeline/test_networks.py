@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import pytest
 import torch
@@ -170,3 +171,85 @@ def test_named_members_alone_give_their_own_values(layer_norm: bool):
     torch.testing.assert_close(
         critics(observation, action, members=members), critics(observation, action)[members]
     )
+
+
+# ------------------------------------------------------------------- hidden layers in bfloat16
+
+
+def both_precisions(part: str, layer_norm: bool) -> list[nn.Module]:
+    """The same network twice, its hidden layers in float32 and in bfloat16."""
+    made = []
+    for dtype in (None, torch.bfloat16):
+        torch.manual_seed(2)
+        options = {"layer_norm": layer_norm, "hidden_dtype": dtype}
+        if part == "actor":
+            made.append(make_actor(OBS, A, [64, 64], **options))
+        else:
+            made.append(BatchedCritics(OBS, A, [64, 64], E, **options))
+    return made
+
+
+def outputs(network: nn.Module) -> list[torch.Tensor]:
+    torch.manual_seed(3)
+    observation, action = torch.randn(50, OBS), torch.rand(50, A)
+    if isinstance(network, BatchedCritics):
+        return [network(observation, action)]
+    return list(network[0].module(observation))
+
+
+def flat_gradient(network: nn.Module) -> torch.Tensor:
+    sum((output**2).mean() for output in outputs(network)).backward()
+    return torch.cat([parameter.grad.flatten() for parameter in network.parameters()])
+
+
+@pytest.mark.parametrize("layer_norm", [False, True])
+@pytest.mark.parametrize("part", ["actor", "critic"])
+def test_hidden_layers_in_bfloat16_are_close_and_all_else_stays_float32(
+    part: str, layer_norm: bool
+):
+    """bfloat16 keeps 8 bits: each of two layers errs by about 2^-8 of its largest output."""
+    plain, rounded = both_precisions(part, layer_norm)
+    for exact, near in zip(outputs(plain), outputs(rounded), strict=True):
+        assert near.dtype == exact.dtype == torch.float32
+        error = (near - exact).abs().max() / exact.abs().max()
+        assert 1e-5 < error < 2e-2  # rounded it is, but no more than that
+    exact, near = flat_gradient(plain), flat_gradient(rounded)
+    assert near.dtype == torch.float32
+    assert (near - exact).norm() / exact.norm() < 4e-2
+    assert {p.dtype for p in rounded.parameters()} == {torch.float32}
+    assert {p.grad.dtype for p in rounded.parameters()} == {torch.float32}
+
+
+def note_dtype(seen: list[torch.dtype], _layer: nn.Module, _inputs: tuple, output) -> None:
+    seen.append(output.dtype)
+
+
+@pytest.mark.parametrize("part", ["actor", "critic"])
+def test_a_hidden_layer_really_multiplies_in_its_precision(part: str):
+    """Inside, products are bfloat16; the last layer and everything behind it are not."""
+    precisions = (torch.float32, torch.bfloat16)
+    for network, expected in zip(both_precisions(part, False), precisions, strict=True):
+        products: list[torch.dtype] = []
+        for layer in network.modules():
+            if isinstance(layer, (nn.Linear, EnsembleLinear)):
+                layer.register_forward_hook(partial(note_dtype, products))
+        outputs(network)
+        assert products == [expected, expected, torch.float32]
+
+
+def test_the_distribution_of_a_bfloat16_actor_is_float32():
+    _, actor = both_precisions("actor", layer_norm=False)
+    distribution = actor.get_dist(TensorDict({"observation": torch.randn(B, OBS)}, [B]))
+    action, log_prob = distribution.rsample_and_log_prob()
+    tensors = (distribution.loc, distribution.scale, action, log_prob)
+    assert {tensor.dtype for tensor in tensors} == {torch.float32}
+
+
+@pytest.mark.parametrize("part", ["actor", "critic"])
+def test_weights_trained_in_one_precision_load_in_the_other(part: str):
+    plain, rounded = both_precisions(part, layer_norm=True)
+    assert list(plain.state_dict()) == list(rounded.state_dict())
+    randomise(rounded)
+    plain.load_state_dict(rounded.state_dict())
+    for one, other in zip(plain.parameters(), rounded.parameters(), strict=True):
+        assert torch.equal(one, other)

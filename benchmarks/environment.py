@@ -1,0 +1,119 @@
+"""Environment steps per second: N doors, against one door's bare physics and gymnasium-robotics.
+
+All get uniformly random actions and start again after 200 steps. One environment step is five
+steps of the physics; "raw" does these with ``mj_step`` and builds the observation, nothing else.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+
+from benchmarks.effort import Effort
+from benchmarks.raw_door import RawDoor
+from benchmarks.statistics import rounded, spread
+from benchmarks.worker import Entry, available_cores, race
+from envs import make_env
+from envs.door.scene import build_scene
+from envs.door.task import ACTION_SIZE, HORIZON
+
+CALL_STEPS = 20
+"""Steps of one call, so that the loop around it costs nothing."""
+
+
+class Doors:
+    """``make_env("door")`` with automatic resets, as the collector steps it."""
+
+    def __init__(self, count: int, threads: int) -> None:
+        self.env = make_env("door", num_envs=count, seed=0, num_threads=threads)
+        self.td: TensorDictBase = self.env.reset()
+        self.steps = max(1, CALL_STEPS // count)
+        self.units = float(self.steps * count)
+        self.actions = torch.rand(HORIZON, count, ACTION_SIZE) * 2 - 1
+        self.step = 0
+
+    def call(self) -> None:
+        """Some steps of all doors."""
+        for _ in range(self.steps):
+            self.td["action"] = self.actions[self.step % HORIZON]
+            _, self.td = self.env.step_and_maybe_reset(self.td)
+            self.step += 1
+
+
+class RawStepping:
+    """``mj_step`` and the observation of one door of the same model."""
+
+    units = float(CALL_STEPS)
+
+    def __init__(self) -> None:
+        scene = build_scene()
+        self.door = RawDoor(scene)
+        actions = np.random.default_rng(0).uniform(-1, 1, (HORIZON, ACTION_SIZE))
+        self.controls = scene.control_middle + scene.control_half_range * actions
+        self.step = 0
+
+    def call(self) -> None:
+        """Some steps."""
+        for _ in range(CALL_STEPS):
+            if self.step % HORIZON == 0:
+                self.door.reset()
+            self.door.step(self.controls[self.step % HORIZON])
+            self.door.observation()
+            self.step += 1
+
+
+class GymnasiumRobotics:
+    """The package's own door environment: one door, 39 observations, its own reward."""
+
+    units = float(CALL_STEPS)
+
+    def __init__(self) -> None:
+        # Importing it prints advice about tasks that are not used here.
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            from gymnasium_robotics.envs.adroit_hand.adroit_door import (  # noqa: PLC0415
+                AdroitHandDoorEnv,
+            )
+        self.env = AdroitHandDoorEnv()
+        self.actions = np.random.default_rng(0).uniform(-1, 1, (HORIZON, ACTION_SIZE))
+        self.step = 0
+
+    def call(self) -> None:
+        """Some steps."""
+        for _ in range(CALL_STEPS):
+            if self.step % HORIZON == 0:
+                self.env.reset(seed=0)
+            self.env.step(self.actions[self.step % HORIZON])
+            self.step += 1
+
+
+def run(effort: Effort) -> dict[str, Any]:
+    """Keys ``env_steps_per_s`` (medians) and ``env_steps_detail``."""
+    thread_counts = sorted({1, min(2, available_cores())})
+    here = "benchmarks.environment"
+    entries = [
+        Entry(
+            f"doors_{count}_threads_{threads}",
+            f"{here}:Doors",
+            {"count": count, "threads": threads},
+            threads,
+        )
+        for count in effort.env_counts
+        for threads in thread_counts
+    ]
+    entries.append(Entry("raw_threads_1", f"{here}:RawStepping"))
+    entries.append(Entry("gymnasium_robotics_threads_1", f"{here}:GymnasiumRobotics"))
+    timings = race(entries, rounds=max(2, effort.rounds // 2), block_s=effort.env_block_s)
+    detail = {}
+    for name, timing in timings.items():
+        per_second = spread([1.0 / seconds for seconds in timing.seconds_per_unit])
+        detail[name] = {**per_second.as_json("steps/s"), "peak_mib": rounded(timing.peak_mib)}
+    medians = {name: values["median"] for name, values in detail.items()}
+    return {
+        "env_steps_per_s": medians,
+        "env_steps_detail": effort.as_json(threads=thread_counts, contestants=detail),
+    }

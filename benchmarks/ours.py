@@ -1,0 +1,168 @@
+"""This project's side of every comparison, built from its own configuration and factories.
+
+``make_stepper`` and ``Updater`` are the only places here that know how a configuration becomes
+networks, buffers and updates; the real run's wiring is ``pipeline/online.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDict
+
+from configs import compose_config
+from configs.schema import Config
+from envs.door.task import ACTION_SIZE, OBSERVATION_SIZE
+from pipeline import components
+from pipeline.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
+from pipeline.compute import hidden_dtype, resolve_compute
+from pipeline.hooks import DemoUpdateHook
+from pipeline.mixture import DRAWS, Mixture
+from pipeline.rows import TransitionRows
+from pipeline.stepper import BCSACStepper, StepRhythm
+
+EPISODE = 200
+"""Steps of the made-up episodes that fill the buffers."""
+CHUNK = 100_000
+"""Rows made at a time, so that filling a large buffer does not decide the peak memory."""
+
+
+PRECISIONS = ("fp32", "bf16")
+"""Of the hidden layers; comparisons measure both and name the one they quote."""
+
+
+def paper_size(variant: str, width: int, batch: int) -> list[str]:
+    """Overrides for the paper's networks and rows at another width and batch."""
+    return [
+        f"variant={variant}",
+        "preset=paper",
+        f"actor.hidden=[{width},{width}]",
+        f"critic.hidden=[{width},{width}]",
+        f"sampler.batch_size={batch}",
+    ]
+
+
+def make_stepper(config: Config) -> BCSACStepper:
+    """The networks, the loss and the stepper of a run with this (decided) configuration."""
+    env = components.make_training_env(config)
+    dtype = hidden_dtype(config)
+    actor = components.make_policy(config.actor, env, None, config.device, dtype)
+    critic = components.make_critic(config.critic, env, None, config.device, dtype)
+    env.close()
+    loss = components.make_loss(config.loss, actor, critic, ACTION_SIZE)
+    optim = config.optim
+    return BCSACStepper(
+        loss,
+        actor_lr=optim.actor_lr,
+        critic_lr=optim.critic_lr,
+        temperature_lr=optim.temperature_lr,
+        rhythm=StepRhythm(
+            actor_period=optim.actor_period,
+            target_period=optim.target_period,
+            actor_delay=optim.actor_delay,
+            diagnostics_period=optim.diagnostics_period,
+        ),
+        bc_gradient_ratio=config.loss.bc_gradient_ratio,
+        max_grad_norm=optim.max_grad_norm,
+    )
+
+
+def random_rows(count: int, to_rows: TransitionRows) -> TensorDict:
+    """Rows [count] of made-up episodes, cut by the run's own conversion."""
+    episodes = -(-count // EPISODE)
+    shape = (episodes, EPISODE)
+    done = torch.zeros(*shape, 1, dtype=torch.bool)
+    done[:, -1] = True
+    trajectories = TensorDict(
+        {
+            "observation": torch.randn(*shape, OBSERVATION_SIZE),
+            "action": torch.rand(*shape, ACTION_SIZE) * 2 - 1,
+            "next": {
+                "observation": torch.randn(*shape, OBSERVATION_SIZE),
+                "reward": torch.randn(*shape, 1),
+                "done": done,
+                "terminated": torch.zeros_like(done),
+                "truncated": done.clone(),
+            },
+        },
+        batch_size=shape,
+    )
+    return to_rows(trajectories)[:count]
+
+
+class Updater:
+    """A stepper on batches drawn from filled buffers; a call is some updates, sampling included.
+
+    Args:
+        config: Of the run.
+        replay_rows: Rows in the main buffer.
+        demo_rows: Rows of the demonstrations.
+        updates: Ordinary updates of a call.
+        frame: Whether the whole call counts as one unit, instead of each update.
+    """
+
+    def __init__(
+        self, config: Config, *, replay_rows: int, demo_rows: int, updates: int, frame: bool
+    ) -> None:
+        self.stepper = make_stepper(config)
+        to_rows = components.make_rows(config.loss)
+        main = make_buffer(replay_rows, config.device)
+        for first in range(0, replay_rows, CHUNK):
+            main.extend(random_rows(min(CHUNK, replay_rows - first), to_rows))
+        demos = DemonstrationDistribution(make_core_buffer(random_rows(demo_rows, to_rows)))
+        rows = config.sampler.batch_size
+        self.mixture = Mixture(
+            main,
+            demos,
+            main_rows=rows,
+            demo_rows=round(config.sampler.demo_ratio * rows),
+            # As many batches at a time as the run has updates between two portions of frames.
+            draws=min(
+                round(config.optim.updates_per_frame * config.collector.frames_per_batch), DRAWS
+            ),
+            device=config.device,
+        )
+        self.updates = updates
+        self.demo_update: DemoUpdateHook | None = None
+        performed = float(updates)
+        period = config.sampler.demo_update_period
+        if period:
+            demo_batches = Mixture(None, demos, main_rows=0, demo_rows=rows, device=config.device)
+            self.demo_update = DemoUpdateHook(self.stepper, demo_batches, period)
+            performed += updates / period
+        self.units = 1.0 if frame else performed
+
+    def call(self) -> None:
+        """The updates that follow one portion of frames."""
+        collected = TensorDict({}, [])
+        for _ in range(self.updates):
+            self.stepper.step(None, self.mixture(collected))
+            if self.demo_update is not None:
+                self.demo_update()
+
+
+def make_updater(
+    overrides: Sequence[str],
+    precision: str,
+    replay_rows: int,
+    demo_rows: int,
+    updates: int = 1,
+    frame: bool = False,
+) -> Updater:
+    """An :class:`Updater` for what ``make train`` with these overrides would run.
+
+    Args:
+        overrides: Of the run.
+        precision: ``fp32``, ``bf16``, or ``auto`` for what the project chooses on this machine.
+        replay_rows: As for :class:`Updater`, and so the others.
+        demo_rows: Likewise.
+        updates: Likewise.
+        frame: Likewise.
+    """
+    torch.manual_seed(0)
+    threads = f"torch_threads={torch.get_num_threads()}"
+    config = resolve_compute(compose_config(*overrides, f"precision={precision}", threads))
+    return Updater(
+        config, replay_rows=replay_rows, demo_rows=demo_rows, updates=updates, frame=frame
+    )

@@ -1,0 +1,48 @@
+"""One door of the project's model played with MuJoCo's own calls: the physics without a system.
+
+It shares the compiled model with the project and none of its stepping code, which is what is
+measured against it.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.door.scene import SUBSTEPS, DoorScene
+
+
+class RawDoor:
+    """A model and its data. An action is five calls' worth of ``mj_step``."""
+
+    def __init__(self, scene: DoorScene) -> None:
+        self.model = copy.copy(scene.model)
+        self.data = mujoco.MjData(self.model)
+        # Views into MuJoCo's memory, so that reading them costs no attribute access.
+        self.control = self.data.ctrl
+        self.qpos = self.data.qpos
+        self.palm = self.data.site_xpos[scene.palm_site]
+        self.handle = self.data.site_xpos[scene.handle_site]
+        self.frame = self.model.body_pos[scene.frame_body]
+        self.joints = np.r_[1 : scene.hinge_qpos, scene.latch_qpos, scene.hinge_qpos]
+
+    def reset(self, position: NDArray[np.float64] | None = None) -> None:
+        """The task's reset pose; the door at ``position`` [3] (m), or where it was."""
+        if position is not None:
+            self.frame[:] = position
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_forward(self.model, self.data)
+
+    def step(self, control: NDArray[np.float64]) -> None:
+        """One control step towards the position targets [28]."""
+        self.control[:] = control
+        mujoco.mj_step(self.model, self.data, SUBSTEPS)
+
+    def observation(self) -> NDArray[np.float64]:
+        """The task's 38 observations."""
+        return np.concatenate(
+            [self.qpos[self.joints], self.palm, self.handle, self.palm - self.handle]
+        )
