@@ -16,7 +16,7 @@ class Effort:
     quick: bool
     threads: int
     """Threads of every contestant where the section does not vary them."""
-    rounds: int = 12
+    rounds: int = 6
     block_s: float = 0.4
     replay_rows: int = 100_000
     demo_rows: int = 5_000

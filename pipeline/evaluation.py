@@ -153,8 +153,8 @@ class Evaluator:
 def one_torch_thread() -> Iterator[None]:
     """Keep torch to the calling thread.
 
-    Others would spin after each product, on the cores that physics is waiting for: on two cores an
-    evaluation took 1.5 times as long. Nor do results depend on the number of cores this way.
+    Others would spin after each product, on the cores that physics is waiting for: beside other
+    work, on two cores, an evaluation took 1.6 times as long.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)
