@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from pipeline.run_dir import write_atomically
 
 JSON_NAME = "latest.json"
 MARKDOWN_NAME = "latest.md"
@@ -55,9 +56,4 @@ def merge(
 def write(path: Path, text: str) -> None:
     """Replaces a file in one step: a reader never sees a part of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_atomically(path, text)
