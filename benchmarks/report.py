@@ -147,14 +147,14 @@ def _pairs(key: str, *, leave_out: tuple[str, ...] = ()) -> Callable[[Results], 
 def _breakdown(results: Results) -> str:
     block = results["train_breakdown"]
     parts = block.get("parts_s", {})
-    text = _pairs("train_breakdown", leave_out=("parts_s", "share", "ms_per_frame"))(results)
+    text = _pairs("train_breakdown", leave_out=("parts_s", "share"))(results)
     if not parts:
         return text
     rows = [
-        (name, _number(s), f"{block['share'][name]:.1%}", _number(block["ms_per_frame"].get(name)))
+        (name, _number(s), f"{block['share'][name]:.1%}")
         for name, s in sorted(parts.items(), key=lambda part: -part[1])
     ]
-    return text + "\n\n" + _table(rows, ["part", "s", "share", "ms per frame"])
+    return text + "\n\n" + _table(rows, ["part", "s", "share"])
 
 
 def _scaling(results: Results) -> str:

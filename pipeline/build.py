@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import time
 from pathlib import Path
 
 import torch
@@ -16,6 +15,7 @@ from pipeline.components import Demonstrations
 from pipeline.compute import resolve_compute
 from pipeline.online import build_online
 from pipeline.run_dir import create_run_dir, save_config
+from pipeline.time_use import TimeUse
 from pipeline.trainer import Run, seed_everything
 
 
@@ -34,31 +34,32 @@ def build_run(config: Config, *, resume: bool = False) -> Run:
         DemonstrationError: If the demonstrations are not usable.
         ValueError: If values of the configuration contradict each other.
     """
-    run_dir = Path(config.run_dir)
-    config = resolve_compute(config)
-    torch.set_num_threads(config.torch_threads or 1)
-    if resume:
-        checkpoint = latest_checkpoint(run_dir)
-        run = _compose(config, run_dir)
-        load_trainer(checkpoint, run.trainer)
-        save_config(run_dir, config)
-        return run
-    create_run_dir(run_dir, config)
-    try:
-        return _compose(config, run_dir)
-    except BaseException:
-        shutil.rmtree(run_dir, ignore_errors=True)
-        raise
+    time_use = TimeUse()
+    with time_use.part("setup"):
+        run_dir = Path(config.run_dir)
+        config = resolve_compute(config)
+        torch.set_num_threads(config.torch_threads or 1)
+        if resume:
+            checkpoint = latest_checkpoint(run_dir)
+            run = _compose(config, run_dir, time_use)
+            load_trainer(checkpoint, run.trainer)
+            save_config(run_dir, config)
+            return run
+        create_run_dir(run_dir, config)
+        try:
+            return _compose(config, run_dir, time_use)
+        except BaseException:
+            shutil.rmtree(run_dir, ignore_errors=True)
+            raise
 
 
-def _compose(config: Config, run_dir: Path) -> Run:
-    began = time.perf_counter()
-    demos = _demonstrations(config)
+def _compose(config: Config, run_dir: Path, time_use: TimeUse) -> Run:
+    # Apart from the rest of the setup: it is the simulator that works there.
+    with time_use.part("demonstrations"):
+        demos = _demonstrations(config)
     seed_everything(config.seed)
     build = build_offline if config.offline else build_online
-    run = build(config, run_dir, demos)
-    run.time_use.seconds["setup"] = time.perf_counter() - began
-    return run
+    return build(config, run_dir, demos, time_use)
 
 
 def _demonstrations(config: Config) -> Demonstrations | None:

@@ -34,7 +34,9 @@ UPDATES_PER_BATCH = 100
 """Updates between two looks of the trainer at its hooks."""
 
 
-def build_offline(config: Config, run_dir: Path, demos: Demonstrations | None) -> Run:
+def build_offline(
+    config: Config, run_dir: Path, demos: Demonstrations | None, time_use: TimeUse
+) -> Run:
     """Behaviour cloning (paper, section III-B): updates on D alone."""
     if demos is None:
         raise ValueError("offline=true trains on demonstrations alone: set demos.source.")
@@ -55,7 +57,6 @@ def build_offline(config: Config, run_dir: Path, demos: Demonstrations | None) -
         device=config.device,
     )
     collector = OfflineStream(UPDATES_PER_BATCH)
-    time_use = TimeUse()
     trainer = make_trainer(
         config,
         run_dir,
@@ -76,11 +77,14 @@ def build_offline(config: Config, run_dir: Path, demos: Demonstrations | None) -
     return Run(config, run_dir, trainer, actor, time_use)
 
 
-def behaviour_cloned(config: Config, demos: Demonstrations | None) -> ProbabilisticActor:
+def behaviour_cloned(
+    config: Config, demos: Demonstrations | None, time_use: TimeUse | None = None
+) -> ProbabilisticActor:
     """The BC model of this configuration: trained once by the offline pipeline, then cached.
 
     It serves as the start of the actor (``pretrain``) and as the demonstrator of ILD (paper,
-    section III-E.1: "the same BC model trained for comparison").
+    section III-E.1: "the same BC model trained for comparison"). Its training counts in
+    ``time_use``, that of the run that asks for it.
 
     Raises:
         ValueError: If there are no demonstrations.
@@ -110,7 +114,7 @@ def behaviour_cloned(config: Config, demos: Demonstrations | None) -> Probabilis
         if not run_dir.exists():
             create_run_dir(run_dir, bc_config)
         seed_everything(config.seed)
-        run = build_offline(bc_config, run_dir, demos)
+        run = build_offline(bc_config, run_dir, demos, time_use or TimeUse())
         if complete.exists():
             load_component(latest_checkpoint(run_dir), "policy", run.actor)
         else:

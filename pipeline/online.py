@@ -30,7 +30,9 @@ ROW_LIMIT = 1_000_000
 """The main buffer holds the whole run up to this many frames."""
 
 
-def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) -> Run:
+def build_online(
+    config: Config, run_dir: Path, demos: Demonstrations | None, time_use: TimeUse
+) -> Run:
     """Reinforcement learning, with whatever help from D the configuration asks for."""
     device, dtype = config.device, hidden_dtype(config)
     env = components.make_training_env(config)
@@ -40,11 +42,11 @@ def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) ->
     critic = components.make_critic(config.critic, env, normalizer, device, dtype)
     loss = components.make_loss(config.loss, actor, critic, env.action_spec.shape[-1])
     if config.pretrain:
-        actor.load_state_dict(behaviour_cloned(config, demos).state_dict())
+        actor.load_state_dict(behaviour_cloned(config, demos, time_use).state_dict())
 
     to_rows = components.make_rows(config.loss)
     main = make_buffer(min(config.collector.total_frames, ROW_LIMIT), device)
-    grown, distribution = _demonstration_distribution(config, demos, to_rows)
+    grown, distribution = _demonstration_distribution(config, demos, to_rows, time_use)
     rows = config.sampler.batch_size
     mixture = Mixture(
         main,
@@ -81,7 +83,6 @@ def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) ->
         track_traj_ids=False,
         auto_register_policy_transforms=False,  # the policies here are memoryless
     )
-    time_use = TimeUse()
     time_use.watch(env, "_step", "physics")
     time_use.watch(collector, "rollout", "collect")
     trainer = make_trainer(
@@ -113,7 +114,10 @@ def build_online(config: Config, run_dir: Path, demos: Demonstrations | None) ->
 
 
 def _demonstration_distribution(
-    config: Config, demos: Demonstrations | None, to_rows: components.TransitionRows
+    config: Config,
+    demos: Demonstrations | None,
+    to_rows: components.TransitionRows,
+    time_use: TimeUse,
 ) -> tuple[GrownDemonstrations | None, DemonstrationDistribution | None]:
     if demos is None:
         return None, None
@@ -125,7 +129,7 @@ def _demonstration_distribution(
     if growth.bc_model:
         harvest = Harvest(grown, _admission(config), to_rows, source="bc_model")
         admit_rollouts(
-            behaviour_cloned(config, demos),
+            behaviour_cloned(config, demos, time_use),
             harvest,
             env_name=config.env.name,
             episodes=growth.bc_model_episodes,

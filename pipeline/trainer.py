@@ -34,9 +34,11 @@ class Run:
         """Trains to the end; the newest checkpoint and the learning curve are in ``run_dir``."""
         # The trainer looks at its total only after a batch: a complete run would grow by one.
         if self.trainer.collected_frames < self.trainer.total_frames:
-            with self.time_use.part(OTHER):
-                self.trainer.train()
-            self.time_use.write(self.run_dir)
+            try:
+                with self.time_use.part(OTHER):
+                    self.trainer.train()
+            finally:
+                self.time_use.write(self.run_dir)
 
 
 def make_trainer(

@@ -224,7 +224,28 @@ def test_a_run_s_parts_are_its_wall_time(
     assert report["wall_s"] == pytest.approx(sum(parts.values()))
     assert 0 < parts["setup"] <= building
     # Beyond 1 %, a moment in which a busy machine may have looked elsewhere.
-    assert report["wall_s"] - parts["setup"] == pytest.approx(outer, rel=0.01, abs=0.005)
+    assert report["wall_s"] == pytest.approx(building + outer, rel=0.01, abs=0.005)
+
+
+def test_pretraining_counts_as_updates(tmp_path: Path, demos: Path):
+    config = tiny_config("sac", tmp_path, demos, "torch_threads=1", "pretrain=true")
+    before_training = build_run(config).time_use.seconds
+    assert before_training["update"] > 0
+    assert before_training["demonstrations"] > 0
+
+
+def test_a_run_that_fails_says_where_its_time_went(
+    tmp_path: Path, demos: Path, monkeypatch: pytest.MonkeyPatch
+):
+    run = build_run(tiny_config("sac", tmp_path, demos, "torch_threads=1"))
+
+    def fails() -> None:
+        raise RuntimeError("lost power")
+
+    monkeypatch.setattr(run.trainer, "train", fails)
+    with pytest.raises(RuntimeError, match="lost power"):
+        run.train()
+    assert "setup" in json.loads((run.run_dir / TIME_USE).read_text())["parts_s"]
 
 
 def test_a_resumed_run_goes_on_counting(
