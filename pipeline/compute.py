@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import psutil
 import torch
 from omegaconf import OmegaConf
 
@@ -16,6 +17,8 @@ from configs.schema import Config
 PRECISIONS = {"fp32": None, "bf16": torch.bfloat16}
 """What the hidden layers compute in; ``None`` is the parameters' own float32."""
 REPEATS = 7
+LOOK_S = 0.5
+"""Seconds over which other work is observed."""
 WORTH_A_THREAD = 0.85
 """A further thread must take an update's products to this share of the time, or it stays free."""
 WORTH_ROUNDING = 0.7
@@ -73,14 +76,15 @@ def _fastest_threads(clock: Clock) -> int:
 
 
 def _free_cores() -> int:
-    """Cores of this process that the machine's load of the last minute leaves.
+    """Cores of this process that other work leaves free at this moment.
 
-    Threads that wait for a core hold up all others of their operation: two threads beside two
+    Observed, not the load average of the last minute: that still counts what has just ended, and
+    the second of two runs in a row would get one thread. Threads that wait for a core hold up all others of their operation: two threads beside two
     busy processes on two cores were 15 times slower than one.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
-    free = round((cores or 1) - load)
+    busy = psutil.cpu_percent(interval=LOOK_S) / 100.0 * (psutil.cpu_count() or 1)
+    free = round((cores or 1) - busy)
     allowed = os.environ.get("OMP_NUM_THREADS", "")
     return max(1, min(free, int(allowed)) if allowed.isdigit() else free)
 

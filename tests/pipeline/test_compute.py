@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import psutil
 import pytest
 import torch
 from omegaconf import OmegaConf
@@ -43,11 +44,12 @@ def refused(*_arguments: object) -> float:
 
 @pytest.fixture
 def machine(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Sets the cores of this process, the machine's load and OMP_NUM_THREADS."""
+    """Sets the cores of this process, how many of them are busy and OMP_NUM_THREADS."""
 
-    def is_like(cores: int, load: float = 0.0, omp: str | None = None) -> None:
+    def is_like(cores: int, busy: float = 0.0, omp: str | None = None) -> None:
         monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(cores)), raising=False)
-        monkeypatch.setattr(os, "getloadavg", lambda: (load, 99.0, 99.0), raising=False)
+        monkeypatch.setattr(psutil, "cpu_count", lambda: cores)
+        monkeypatch.setattr(psutil, "cpu_percent", lambda interval: 100.0 * busy / cores)
         if omp is None:
             monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
         else:
@@ -78,12 +80,12 @@ def test_the_smallest_count_that_is_not_clearly_slower_is_chosen(
 
 
 @pytest.mark.parametrize(
-    ("cores", "load", "omp", "most"),
+    ("cores", "busy", "omp", "most"),
     [
         (4, 0.0, None, 4),
         (4, 0.4, None, 4),
         (4, 1.6, None, 2),
-        (4, 40.0, None, 1),
+        (4, 4.0, None, 1),
         (4, 0.0, "3", 3),
         (4, 0.0, "1", 1),
         (4, 0.0, "8", 4),  # a limit, not more cores
@@ -95,20 +97,19 @@ def test_the_smallest_count_that_is_not_clearly_slower_is_chosen(
     ],
 )
 def test_no_more_threads_than_free_cores_are_tried(
-    machine: Callable[..., None], cores: int, load: float, omp: str | None, most: int
+    machine: Callable[..., None], cores: int, busy: float, omp: str | None, most: int
 ):
-    machine(cores, load, omp)
+    machine(cores, busy, omp)
     clock = FakeClock(*(0.5**threads for threads in range(16)))
     assert resolve_compute(open_config(), clock).torch_threads == most
     assert max(threads for threads, _ in clock.asked) == most
 
 
-def test_a_machine_that_does_not_tell_its_load_or_affinity_counts_all_cores(
+def test_a_machine_that_does_not_tell_its_affinity_counts_all_cores(
     machine: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ):
     machine(4)
     monkeypatch.delattr(os, "sched_getaffinity")
-    monkeypatch.delattr(os, "getloadavg")
     monkeypatch.setattr(os, "cpu_count", lambda: 3)
     clock = FakeClock(*(0.5**threads for threads in range(16)))
     assert resolve_compute(open_config(), clock).torch_threads == 3
