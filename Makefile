@@ -10,7 +10,7 @@ SHELL := /bin/sh
 VENV ?= .venv
 PYTHON ?= python3
 # Optional dependencies of pyproject.toml to install: e.g. make train EXTRAS=dev,video,sweep,wandb
-EXTRAS ?= dev,video,sweep
+EXTRAS ?= dev,video,sweep,results
 # Which build of torch is tried first; `make install TORCH_BUILD=` takes the index's own (GPU) build.
 TORCH_BUILD ?= cpu
 
@@ -37,8 +37,16 @@ SMOKE_EPISODES ?= 4
 # $(call require,targets,NAME,example): stop before anything is installed when NAME is missing.
 require = $(foreach goal,$(filter $(1),$(MAKECMDGOALS)),$(if $($(2)),,$(error \
 	make $(goal) needs $(2)=..., for example: make $(goal) $(2)=$(3))))
-$(call require,eval record video,RUN,runs/my_run)
+$(call require,eval record video plot,RUN,runs/my_run)
 $(call require,table,RUNS,"runs/one runs/two")
+
+# ---- the rows of the tables: one run for each row and seed ------------------------------------
+ROWS ?= sac bc bc_sac_0.1 bc_sac_1 bc_sac_10 dbc_sac sid_bc sid_dbc ila_bc ila_dbc da_sac best
+SEEDS ?= 0 1 2 3 4
+ROW_RUNS ?= runs/rows
+ROW_PRESET ?= $(if $(PRESET),$(PRESET),table)
+# Seed by seed, so that an interrupted set has the same seeds in every row.
+ROW_EVALUATIONS = $(foreach seed,$(SEEDS),$(foreach row,$(ROWS),$(ROW_RUNS)/$(row)/seed$(seed)/evaluation.json))
 
 ##@ Use
 
@@ -62,6 +70,28 @@ eval: $(STAMP) ## evaluate RUN=dir over fixed doors [EPISODES=1000] [OUT=file] [
 .PHONY: table
 table: $(STAMP) ## RUNS="dir dir ..." beside the paper's Tables I and II [OUT=file]
 	@$(RUN_PYTHON) -m pipeline.cli table $(RUNS) $(OUT_ARGS) $(ARGS)
+
+.PHONY: rows
+rows: $(ROW_EVALUATIONS) ## train and evaluate the tables' rows, or go on with them; -j2 runs two at a time [ROWS="..."] [SEEDS="0 1"] [DEMOS=...]
+
+# A row is a variant; bc_sac_X is bc_sac with lambda = X. One thread a run: runs share the cores.
+$(ROW_RUNS)/%/evaluation.json: | $(STAMP)
+	@set -e; run="$(@D)"; row="$(patsubst %/,%,$(dir $*))"; seed="$(patsubst seed%,%,$(notdir $*))"; \
+	threads="torch_threads=1 env.num_threads=1 logging.progress=false"; \
+	case "$$row" in \
+	  bc_sac_*) what="variant=bc_sac loss.bc_weight.init=$${row#bc_sac_}";; *) what="variant=$$row";; esac; \
+	if ls "$$run"/checkpoints/checkpoint-* >/dev/null 2>&1; then what="resume=$$run"; \
+	else rm -rf "$$run"; what="$$what preset=$(ROW_PRESET) seed=$$seed run_dir=$$run $(if $(DEMOS),demos.source='$(DEMOS)') $(ARGS)"; fi; \
+	OMP_NUM_THREADS=1 $(RUN_PYTHON) -m pipeline.train $$what $$threads; \
+	OMP_NUM_THREADS=1 $(RUN_PYTHON) -m pipeline.cli eval "$$run" env.num_threads=1
+
+.PHONY: results
+results: $(STAMP) ## publish the evaluated runs below ROW_RUNS=runs/rows to docs/results [OUT=dir]
+	@$(RUN_PYTHON) -m pipeline.cli results "$(ROW_RUNS)" $(OUT_ARGS)
+
+.PHONY: plot
+plot: $(STAMP) ## diagnostics of RUN=dir over frames [OUT=file]
+	@$(RUN_PYTHON) -m pipeline.cli plot "$(RUN)" $(OUT_ARGS)
 
 .PHONY: demos-check
 demos-check: $(STAMP) ## validate and re-simulate demonstrations, one line each [DEMOS=bundled|path|minari:ID]

@@ -31,6 +31,7 @@ class MultiplyConfig:
 
     enabled: bool = False
     target_episodes: int = 350  # episodes to keep
+    max_attempts: int = 4000  # give up after so many
     seed: int = 0
     noise_scale: float = 0.08  # largest AR(1) action noise that is executed but not recorded
     speed_low: float = 1.1  # slowest playback speed (1 = as recorded)
@@ -45,6 +46,7 @@ class DemosConfig:
     source: str = "bundled"  # bundled | path | minari:ID
     resimulate: bool = True  # replay in our simulator from the reset pose: states a policy will see
     limit: int | None = None  # use only the first N demonstrations
+    held_out: int = 0  # episodes, after multiplication, that only diagnostics see
     multiply: MultiplyConfig = field(default_factory=MultiplyConfig)
 
 
@@ -96,6 +98,7 @@ class LossConfig:
     target_subset: int | None = None  # critics in the target's minimum; null = all
     actor_value: str = "min"  # min | mean over the ensemble
     rl_on_demos: bool = False  # do the RL terms also see the demonstration rows?
+    q_filter: bool = False  # imitate only actions that the critics value above the policy's own
     imitation: str = "nll"  # nll (paper III-B) | mse
     action_margin: float = 1e-2  # demonstrated actions are clamped to +-(1 - action_margin)
     tau: float = 0.005

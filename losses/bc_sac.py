@@ -75,6 +75,8 @@ class BCSACLoss(LossModule):
         actor_value: the critics' ``"min"`` or ``"mean"`` is what the actor maximises.
         entropy_in_target: whether the backup carries the entropy bonus.
         rl_on_demos: whether the reinforcement terms use the demonstration rows too.
+        q_filter: whether :meth:`actor_terms` imitates only the demonstrated actions that the
+            critics value above the policy's own mean action (arXiv:1709.10089, section V-C).
         tau: share of the critic that one :meth:`update_target` moves into the target, in [0, 1].
         loss_function: regression error of the critic.
 
@@ -126,6 +128,7 @@ class BCSACLoss(LossModule):
         actor_value: Literal["min", "mean"] = "min",
         entropy_in_target: bool = True,
         rl_on_demos: bool = False,
+        q_filter: bool = False,
         tau: float = 0.005,
         loss_function: F.CriticDistance = "l2",
     ) -> None:
@@ -153,6 +156,7 @@ class BCSACLoss(LossModule):
         self.action_margin = action_margin
         self.entropy_in_target = entropy_in_target
         self.rl_on_demos = rl_on_demos
+        self.q_filter = q_filter
         self.loss_function = loss_function
         # A Python number, not a buffer: on an accelerator, reading one would be a wait per update.
         self.updates = 0
@@ -227,7 +231,8 @@ class BCSACLoss(LossModule):
             # Sampling every row is cheap; the critics are not, so they see only rows that count.
             observation, action, log_prob = observation[rows], action[rows], log_prob[rows]
         rl, q = self._reinforcement(observation, action, log_prob)
-        return ActorTerms(rl, self._imitation(policy, tensordict), log_prob.detach(), q)
+        worth = self._worth_imitating(policy, tensordict) if self.q_filter else None
+        return ActorTerms(rl, self._imitation(policy, tensordict, worth), log_prob.detach(), q)
 
     def qvalue_loss(self, tensordict: TensorDictBase) -> Tensor:
         """Return the loss ``[]`` of :meth:`critic_terms`."""
@@ -351,8 +356,13 @@ class BCSACLoss(LossModule):
             q = self._actor_value(self.critic(observation, action))
         return F.actor_objective(log_prob, q, self.alpha).mean(), q.detach()
 
-    def _imitation(self, policy: TanhNormal, tensordict: TensorDictBase) -> Tensor:
-        """Return the mean imitation error ``[]`` over the demonstration rows."""
+    def _imitation(
+        self, policy: TanhNormal, tensordict: TensorDictBase, worth: Tensor | None = None
+    ) -> Tensor:
+        """Return the mean imitation error ``[]`` over the demonstration rows.
+
+        Rows that are not ``worth [B]`` it count as rows without an error.
+        """
         action = tensordict[self.tensor_keys.action]
         is_demo = self._is_demo(tensordict)
         if is_demo is None:
@@ -360,7 +370,20 @@ class BCSACLoss(LossModule):
         # Deviation: the paper scores recorded actions as they are. At the edge of tanh's range that
         # likelihood and its gradient explode; action_margin=1e-6, float32's limit, undoes this.
         action = F.clamp_to_support(action, self.action_margin)
-        return F.masked_mean(self._imitation_error(policy, action), is_demo)
+        error = self._imitation_error(policy, action)
+        if worth is not None:
+            error = error.masked_fill(worth.logical_not(), 0.0)
+        return F.masked_mean(error, is_demo)
+
+    @torch.no_grad()
+    def _worth_imitating(self, policy: TanhNormal, tensordict: TensorDictBase) -> Tensor:
+        """Return which rows' actions ``[B]`` the critics value above the policy's mean action."""
+        observation = tensordict[self.tensor_keys.observation]
+        shown, own = (
+            self._actor_value(self.critic(observation, action))
+            for action in (tensordict[self.tensor_keys.action], policy.deterministic_sample)
+        )
+        return (shown > own).squeeze(-1)
 
     def _is_demo(self, tensordict: TensorDictBase) -> Tensor | None:
         """Return the mask ``[B]`` of the demonstration rows, ``None`` if there are no marks."""

@@ -1,4 +1,4 @@
-"""Command line of everything but training: eval, table, demos-check, record, video."""
+"""Command line of everything but training: eval, table, results, plot, demos-check, record, video."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from envs.demonstrations import DemonstrationError, format_reports, load_demonst
 from pipeline.evaluate_run import evaluate_run, load_evaluation
 from pipeline.film import film
 from pipeline.record import record_demonstrations
-from pipeline.run_dir import EVALUATION, RunDirectoryError, write_atomically
+from pipeline.run_dir import EVALUATION, LEARNING_CURVE, RunDirectoryError, write_atomically
 from pipeline.tables import render
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
@@ -48,6 +48,34 @@ def table(
     if out is not None:
         write_atomically(out, text + "\n")
     typer.echo(text)
+
+
+@app.command("results")
+def results(
+    runs: Annotated[Path, typer.Argument(help="Folder of runs, ROW/seedN below it.")],
+    out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("docs/results"),
+) -> None:
+    """Publish evaluated runs: tables over seeds, curves, diagnostics and a policy per row."""
+    from pipeline.results.publish import publish  # noqa: PLC0415 - needs the extra `results`
+
+    out.mkdir(parents=True, exist_ok=True)
+    for row in publish(runs, out):
+        typer.echo(f"{row.name}: {len(row.seeds)} seeds")
+    typer.echo(f"written to {out}")
+
+
+@app.command("plot")
+def plot(
+    run: RunDir,
+    out: Annotated[Path | None, typer.Option(help="PNG; default: RUN/diagnostics.png")] = None,
+) -> None:
+    """Plot what RUN's learning curve holds: stages, gradients, values, entropy, imitation error."""
+    from pipeline.results.plots import plot_diagnostics  # noqa: PLC0415 - as above
+    from pipeline.results.rows import read_lines  # noqa: PLC0415
+
+    path = out if out is not None else run / "diagnostics.png"
+    plot_diagnostics(run.name, [read_lines(run / LEARNING_CURVE)], path)
+    typer.echo(f"written to {path}")
 
 
 @app.command("demos-check")

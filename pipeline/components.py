@@ -31,7 +31,9 @@ class Demonstrations:
     """The core of D, ready for the buffers."""
 
     rows: TensorDictBase
-    """Transitions [R] of all episodes."""
+    """Transitions [R] of the episodes to train on."""
+    held_out: TensorDictBase | None
+    """Transitions of the ``demos.held_out`` last episodes, which only diagnostics see."""
     content_hash: str
     """Of the episodes, for caches and for the record."""
     source: str
@@ -45,11 +47,17 @@ class Demonstrations:
 def make_demonstrations(
     demos: DemosConfig, to_rows: TransitionRows, *, cache_dir: Path, num_threads: int | None
 ) -> Demonstrations:
-    """Loads, checks, re-simulates and multiplies the demonstrations as configured."""
+    """Loads, checks, re-simulates and multiplies the demonstrations as configured.
+
+    Raises:
+        DemonstrationError: If they are not usable.
+        ValueError: If as many or more are to be held out as there are.
+    """
     multiply = None
     if demos.multiply.enabled:
         multiply = MultiplyConfig(
             target_episodes=demos.multiply.target_episodes,
+            max_attempts=demos.multiply.max_attempts,
             seed=demos.multiply.seed,
             noise_scale=demos.multiply.noise_scale,
             speed_low=demos.multiply.speed_low,
@@ -64,8 +72,19 @@ def make_demonstrations(
         cache_dir=cache_dir,
         limit=demos.limit,
     )
-    rows = torch.cat([to_rows(episode) for episode in to_tensordict(loaded.episodes)])
-    return Demonstrations(rows=rows, content_hash=loaded.content_hash, source=loaded.source)
+    count = len(loaded.episodes) - demos.held_out
+    if demos.held_out < 0 or count < 1:
+        raise ValueError(
+            f"demos.held_out must be at least 0 and leave demonstrations to train on, got "
+            f"{demos.held_out} of {len(loaded.episodes)} episodes."
+        )
+    rows = [to_rows(episode) for episode in to_tensordict(loaded.episodes)]
+    return Demonstrations(
+        rows=torch.cat(rows[:count]),
+        held_out=torch.cat(rows[count:]) if demos.held_out else None,
+        content_hash=loaded.content_hash,
+        source=loaded.source,
+    )
 
 
 def make_rows(loss: LossConfig) -> TransitionRows:
@@ -145,6 +164,7 @@ def make_loss(
         actor_value=loss.actor_value,  # type: ignore[arg-type]  # OmegaConf has no Literal
         entropy_in_target=loss.entropy_in_target,
         rl_on_demos=loss.rl_on_demos,
+        q_filter=loss.q_filter,
         tau=loss.tau,
     )
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import components
-from pipeline.checkpoint import trained_frames
 from pipeline.evaluation import as_scalars
 from pipeline.policy import load_policy
 from pipeline.run_dir import EVALUATION, RunDirectoryError, load_config, versions
@@ -32,13 +31,13 @@ def evaluate_run(
     """
     config = load_config(run_dir, list(overrides))
     count = config.evaluation.episodes if episodes is None else episodes
-    policy, checkpoint = load_policy(config, run_dir)
+    policy, origin = load_policy(config, run_dir)
     evaluator = components.make_evaluator(config, episodes=count)
     return {
         **as_scalars(evaluator.run(policy).metrics()),
         "made_from": {
             "run": str(run_dir),
-            "checkpoint": checkpoint.name,
+            "checkpoint": origin.name,
             "env": config.env.name,
             "variant": config.variant,
             "preset": config.preset,
@@ -46,7 +45,7 @@ def evaluate_run(
             "seed": config.seed,
             "demos": config.demos.source,
             "demos_multiplied": config.demos.multiply.enabled,
-            "frames": 0 if config.offline else trained_frames(checkpoint),
+            "frames": origin.frames,
             "evaluation_seed": config.evaluation.seed,
             "exploration": config.evaluation.exploration,
             "versions": versions(),

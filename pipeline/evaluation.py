@@ -18,6 +18,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from envs import DoorEnv, make_env
 from envs.door.metrics import DoorMetrics, summarise
 from envs.door.starts import door_position
+from envs.door.task import LATCH, PALM_TO_HANDLE
 
 Exploration = Literal["mean", "sample"]
 EXPLORATION: dict[str, ExplorationType] = {
@@ -46,11 +47,21 @@ class Rollouts:
     """Control steps, shape [E]."""
     hinge_angle: NDArray[np.float32] | None
     """Hinge angle after each step, shape [E, T], rad; NaN after the end; None without a door."""
+    nearest: NDArray[np.float32] | None = None
+    """Smallest distance between palm and handle, shape [E], m; None without a door."""
+    widest_latch: NDArray[np.float32] | None = None
+    """Largest latch angle, shape [E], rad; None without a door."""
 
     def metrics(self) -> DoorMetrics | ReturnMetrics:
         """The paper's columns, or just returns for other tasks."""
         if self.hinge_angle is not None:
-            return summarise(self.hinge_angle, self.returns, self.lengths)
+            return summarise(
+                self.hinge_angle,
+                self.returns,
+                self.lengths,
+                nearest_m=self.nearest,
+                widest_latch_rad=self.widest_latch,
+            )
         return ReturnMetrics(
             episodes=len(self.returns),
             return_mean=float(self.returns.mean()),
@@ -70,6 +81,8 @@ class Rollouts:
             returns=np.concatenate([wave.returns for wave in waves]),
             lengths=np.concatenate([wave.lengths for wave in waves]),
             hinge_angle=np.concatenate(padded) if padded else None,
+            nearest=_joined([wave.nearest for wave in waves]),
+            widest_latch=_joined([wave.widest_latch for wave in waves]),
         )
 
 
@@ -194,6 +207,8 @@ def run_wave(
     returns = torch.zeros(n, 1, dtype=torch.float64, device=td.device)
     lengths = torch.zeros(n, 1, dtype=torch.int64, device=td.device)
     angles: list[torch.Tensor] = []
+    nearest = torch.full((n,), torch.inf, device=td.device)
+    widest_latch = torch.full((n,), -torch.inf, device=td.device)
     while active.any():
         td = env.step(policy(td))
         after = td["next"]
@@ -201,6 +216,11 @@ def run_wave(
         lengths += active
         if "hinge_angle" in after.keys():  # noqa: SIM118 - a TensorDict is not a mapping
             angles.append(after["hinge_angle"].masked_fill(~active, torch.nan))
+            # A copy that is done stands still, so its extremes stay.
+            observation = after["observation"]
+            distance = torch.linalg.vector_norm(observation[:, PALM_TO_HANDLE], dim=-1)
+            nearest = torch.minimum(nearest, distance)
+            widest_latch = torch.maximum(widest_latch, observation[:, LATCH])
         active = active & ~after["done"]
         td = env.step_mdp(td)
         td["_step"] = active.squeeze(-1)
@@ -209,7 +229,14 @@ def run_wave(
         returns=returns.squeeze(-1).cpu().numpy()[kept],
         lengths=lengths.squeeze(-1).cpu().numpy()[kept],
         hinge_angle=torch.cat(angles, dim=-1).cpu().numpy()[kept] if angles else None,
+        nearest=nearest.cpu().numpy()[kept] if angles else None,
+        widest_latch=widest_latch.cpu().numpy()[kept] if angles else None,
     )
+
+
+def _joined(parts: list[NDArray[np.float32] | None]) -> NDArray[np.float32] | None:
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if known else None
 
 
 def as_scalars(metrics: DoorMetrics | ReturnMetrics) -> dict[str, Any]:

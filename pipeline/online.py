@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from torchrl.collectors import Collector
@@ -18,6 +19,7 @@ from pipeline.checkpoint import CollectorState, make_checkpoint, resumes_midway
 from pipeline.cloning import behaviour_cloned
 from pipeline.components import Demonstrations
 from pipeline.compute import hidden_dtype
+from pipeline.diagnostics import DemonstrationProbe, TrainingState
 from pipeline.grow import admit_rollouts
 from pipeline.harvest import AdmissionRule, Harvest
 from pipeline.hooks import DemoUpdateHook, EpisodeHook, GrownHook, StoreHook
@@ -109,7 +111,10 @@ def build_online(
     if config.sampler.demo_update_period:
         demo_batches = Mixture(None, distribution, main_rows=0, demo_rows=rows, device=device)
         DemoUpdateHook(stepper, demo_batches, config.sampler.demo_update_period).register(trainer)
-    make_evaluation_hook(config, actor, run_dir, time_use).register(trainer)
+    diagnostics: list[Callable[[], Mapping[str, float]]] = [TrainingState(stepper)]
+    if demos is not None:
+        diagnostics.append(DemonstrationProbe(loss, demos.rows, demos.held_out))
+    make_evaluation_hook(config, actor, run_dir, time_use, *diagnostics).register(trainer)
     return Run(config, run_dir, trainer, actor, time_use)
 
 

@@ -40,7 +40,7 @@ def record_demonstrations(
     config = load_config(run_dir)
     if config.env.name != "door":
         raise ValueError(f"{run_dir}: only door runs can be recorded, this is {config.env.name!r}.")
-    policy, checkpoint = load_policy(config, run_dir)
+    policy, origin = load_policy(config, run_dir)
     rule = AdmissionRule(config.growth.admission.min_angle, config.growth.admission.min_return)
     good: list[FinishedEpisode] = []
     tried = 0
@@ -69,7 +69,7 @@ def record_demonstrations(
             "variant": config.variant,
             "preset": config.preset,
             "seed": config.seed,
-            "checkpoint": checkpoint.name,
+            "checkpoint": origin.name,
             "trained_on": Path(config.demos.source).name,
             "multiplied": config.demos.multiply.enabled,
         },
@@ -81,7 +81,7 @@ def record_demonstrations(
         "max_angle_mean_rad": float(np.mean([e.max_angle for e in kept])),
         "versions": versions(),
     }
-    write_recording(out, _as_episodes(kept, run_dir.name, checkpoint.name), card)
+    write_recording(out, _as_episodes(kept, run_dir.name, origin.name), card)
     return card
 
 

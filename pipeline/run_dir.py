@@ -19,6 +19,7 @@ from configs.schema import Config
 CONFIG = "config.yaml"
 VERSIONS = "versions.json"
 LEARNING_CURVE = "learning_curve.jsonl"
+ALARMS = "alarms.jsonl"
 EVALUATION = "evaluation.json"
 PACKAGES = ("torch", "torchrl", "tensordict", "mujoco", "dm-control", "gymnasium", "numpy")
 

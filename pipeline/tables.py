@@ -26,9 +26,9 @@ class PaperRow:
 PAPER: Mapping[str, PaperRow] = {
     "sac": PaperRow("SAC", 4.1, 2.2, 12.3, 0.182, 0.049, 0.010, 0.002),
     "bc": PaperRow("BC", 461.0, 41.1, 55.9, 0.736, 0.648, 0.349, 0.276),
-    "bc_sac:0.1": PaperRow("BC-SAC (lambda = 0.1)", 65.3, 7.9, 51.1, 0.155, 0.118, 0.101, 0.0),
-    "bc_sac:1": PaperRow("BC-SAC (lambda = 1)", 955.8, 83.1, 84.0, 0.989, 0.975, 0.925, 0.839),
-    "bc_sac:10": PaperRow("BC-SAC (lambda = 10)", 868.8, 77.7, 81.3, 0.956, 0.938, 0.881, 0.780),
+    "bc_sac_0.1": PaperRow("BC-SAC (lambda = 0.1)", 65.3, 7.9, 51.1, 0.155, 0.118, 0.101, 0.0),
+    "bc_sac_1": PaperRow("BC-SAC (lambda = 1)", 955.8, 83.1, 84.0, 0.989, 0.975, 0.925, 0.839),
+    "bc_sac_10": PaperRow("BC-SAC (lambda = 10)", 868.8, 77.7, 81.3, 0.956, 0.938, 0.881, 0.780),
     "dbc_sac": PaperRow("DBC-SAC", 966.7, 86.4, 86.5, 0.999, 0.993, 0.982, 0.948),
     "sid_bc": PaperRow("SID-BC-SAC", 910.7, 82.0, 82.7, 0.991, 0.990, 0.982, 0.935),
     "sid_dbc": PaperRow("SID-DBC-SAC", 966.8, 86.7, 86.7, 1.0, 1.0, 0.999, 0.971),
@@ -55,7 +55,7 @@ FAMILY_WITH_LAMBDA = "bc_sac"
 def paper_row(variant: str, bc_weight: float | None) -> PaperRow | None:
     """The paper's row for a run, or None if it has none (own variants, other lambdas)."""
     if variant == FAMILY_WITH_LAMBDA:
-        return PAPER.get(f"{variant}:{bc_weight:g}") if bc_weight is not None else None
+        return PAPER.get(f"{variant}_{bc_weight:g}") if bc_weight is not None else None
     return PAPER.get(variant)
 
 
@@ -90,12 +90,13 @@ def _table(evaluations: Sequence[Mapping[str, Any]], columns: Mapping[str, str])
                     "place in Tables I and II."
                 )
             theirs = getattr(reference, key) if reference is not None else None
-            row.append(f"{_cell(key, evaluation[key])} / {_cell(key, theirs)}")
+            row.append(f"{cell(key, evaluation[key])} / {cell(key, theirs)}")
         rows.append(row)
     return tabulate(rows, headers=["variant", "seed", "doors", *columns], tablefmt="github")
 
 
-def _cell(key: str, value: float | None) -> str:
+def cell(key: str, value: float | None) -> str:
+    """A number of column ``key`` as the tables show it; None as a dash."""
     if value is None:
         return "-"
     return f"{100 * value:.1f} %" if key.startswith("share") else f"{value:.1f}"

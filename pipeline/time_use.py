@@ -54,6 +54,12 @@ class TimeUse:
 
         return counted
 
+    @property
+    def elapsed(self) -> float:
+        """Seconds of all parts until now, those of the runs that a resumed one continues too."""
+        self._book()
+        return sum(self.seconds.values())
+
     def write(self, run_dir: Path) -> None:
         """Writes ``time_use.json``: the parts in seconds, longest first, and their sum."""
         parts = dict(sorted(self.seconds.items(), key=lambda part: -part[1]))

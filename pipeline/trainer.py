@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,11 +65,24 @@ def make_trainer(
 
 
 def make_evaluation_hook(
-    config: Config, actor: ProbabilisticActor, run_dir: Path, time_use: TimeUse
+    config: Config,
+    actor: ProbabilisticActor,
+    run_dir: Path,
+    time_use: TimeUse,
+    *diagnostics: Callable[[], Mapping[str, float]],
 ) -> EvaluationHook:
-    """Evaluation of ``actor`` while it is trained, into the run's learning curve."""
+    """Evaluation of ``actor`` while it is trained, into the run's learning curve.
+
+    Each row holds the metrics, the wall time so far (``wall_s``) and the ``diagnostics``.
+    """
     evaluator = components.make_evaluator(config, episodes=config.evaluation.interval_episodes)
-    hook = EvaluationHook(evaluator, actor, config.evaluation.interval, run_dir / LEARNING_CURVE)
+    hook = EvaluationHook(
+        evaluator,
+        actor,
+        config.evaluation.interval,
+        run_dir / LEARNING_CURVE,
+        [lambda: {"wall_s": round(time_use.elapsed, 3)}, *diagnostics],
+    )
     time_use.watch(hook, "evaluate", "evaluate")
     return hook
 

@@ -25,6 +25,12 @@ pull then carries it past 0.06. 1.4 % of the random episodes are above 0.05, all
 `summarise(..., zero_tolerance_rad=0.0)` is the literal reading.
 """
 
+REACHED_M: Final = 0.1
+"""Distance between palm and handle (m) below which the hand counts as having reached it."""
+
+LATCH_TURNED_RAD: Final = 1.0
+"""Latch angle (rad) above which the door comes free."""
+
 DAPG_SUCCESS_STEPS: Final = 25
 """DAPG (arXiv:1709.10087) counts an episode as a success if the door is open for more steps."""
 
@@ -69,6 +75,10 @@ class DoorMetrics:
     success_dapg_ci95: tuple[float, float]
     steps_to_open_median: float | None
     """Median over the episodes that open of the first control step (from 1) above 1.35 rad."""
+    share_reached: float | None = None
+    """Share of episodes whose palm came within `REACHED_M` of the handle; None if not recorded."""
+    share_latch_turned: float | None = None
+    """Share of episodes that turned the latch past `LATCH_TURNED_RAD`; None if not recorded."""
 
 
 def summarise(
@@ -77,6 +87,8 @@ def summarise(
     lengths: ArrayLike,
     *,
     zero_tolerance_rad: float = ZERO_TOLERANCE_RAD,
+    nearest_m: ArrayLike | None = None,
+    widest_latch_rad: ArrayLike | None = None,
 ) -> DoorMetrics:
     """Summarise episodes.
 
@@ -86,6 +98,8 @@ def summarise(
         returns: Undiscounted return of each episode, shape [E].
         lengths: Control steps of each episode, shape [E], each in 1..T.
         zero_tolerance_rad: Hinge angle above which a door counts as opened at all, rad.
+        nearest_m: Smallest distance between palm and handle of each episode, shape [E], m.
+        widest_latch_rad: Largest latch angle of each episode, shape [E], rad.
 
     Returns:
         The summary.
@@ -128,6 +142,14 @@ def summarise(
         success_dapg=float(long_enough.mean()),
         success_dapg_ci95=_wilson(long_enough),
         steps_to_open_median=float(np.median(first_open_step[opens])) if opens.any() else None,
+        share_reached=(
+            None if nearest_m is None else float((np.asarray(nearest_m) < REACHED_M).mean())
+        ),
+        share_latch_turned=(
+            None
+            if widest_latch_rad is None
+            else float((np.asarray(widest_latch_rad) > LATCH_TURNED_RAD).mean())
+        ),
     )
 
 

@@ -76,6 +76,11 @@ def hinge_angle(observation: Floats) -> Floats:
     return _checked(observation)[..., HINGE]
 
 
+def latch_angle(observation: Floats) -> Floats:
+    """Latch angle in rad, shape ``[...]``, from observations ``[..., >=38]``."""
+    return _checked(observation)[..., LATCH]
+
+
 def palm_handle_distance(observation: Floats) -> Floats:
     """Distance between palm and handle in m, shape ``[...]``, from observations ``[..., >=38]``."""
     return np.linalg.norm(_checked(observation)[..., PALM_TO_HANDLE], axis=-1)

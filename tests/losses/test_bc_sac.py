@@ -12,7 +12,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict
-from torch import nn
+from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
 from losses import BCSACLoss, CriticEnsemble, ExponentialWeight, SquashedNormal
@@ -549,3 +549,29 @@ def test_critics_outside_the_target_subset_are_not_run() -> None:
         targets.append(loss.critic_terms(batch).target)
         assert critics.ran == ([2, 5] if critic is critics else [5, 5])
     torch.testing.assert_close(*targets)
+
+
+class SumOfActions(nn.Module):
+    """One critic that values an action by the sum of its entries."""
+
+    def forward(self, _observation: Tensor, action: Tensor) -> Tensor:
+        return action.sum(-1, keepdim=True).unsqueeze(0)
+
+
+def test_the_q_filter_leaves_out_demonstrations_worse_than_the_policy() -> None:
+    """Rows 4-7 are demonstrations; the critic prefers large actions, so rows 4 and 5 stay."""
+    actor = make_actor()
+    loss = BCSACLoss(actor, SumOfActions(), q_filter=True)
+    batch = make_batch(8, 4)
+    batch["action"] = torch.tensor([0.99, 0.99, -0.99, -0.99] * 2).unsqueeze(-1).expand(8, 2)
+    batch["action"] = batch["action"].contiguous()
+    everything = BCSACLoss(actor, SumOfActions()).bc_loss(batch[4:6])
+    # The mean is over all four demonstrations, of which two count.
+    assert torch.isclose(loss.actor_terms(batch).bc, everything / 2)
+    assert loss.actor_terms(batch).bc.requires_grad
+
+
+def test_without_the_q_filter_every_demonstration_counts() -> None:
+    loss = BCSACLoss(make_actor(), SumOfActions())
+    batch = make_batch(8, 4)
+    assert torch.isclose(loss.actor_terms(batch).bc, loss.bc_loss(batch))

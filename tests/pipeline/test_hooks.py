@@ -223,3 +223,41 @@ def test_the_last_policy_is_evaluated_once(
     at_shutdown()
     lines = path.read_text().splitlines() if path.exists() else []
     assert [json.loads(line)["frames"] for line in lines] == evaluated
+
+
+def test_diagnostics_join_the_curve_and_the_log(trainer: FakeTrainer, tmp_path: Path):
+    path = tmp_path / "curve.jsonl"
+    hook = EvaluationHook(
+        FakeEvaluator(), None, 100, path, [lambda: {"depth": 3.0}, lambda: {"width": 4.0}]
+    )
+    hook.register(trainer)
+    logged = hook()
+    assert logged is not None
+    assert (logged["diagnostics/depth"], logged["diagnostics/width"]) == (3.0, 4.0)
+    line = json.loads(path.read_text())
+    assert (line["depth"], line["width"]) == (3.0, 4.0)
+
+
+class FallingEvaluator:
+    """One door in two opens at first, later none."""
+
+    def __init__(self) -> None:
+        self.widest = 1.5
+
+    def run(self, policy: object) -> Rollouts:
+        angles = np.array([[0.0, self.widest], [0.0, 0.1]], dtype=np.float32)
+        self.widest = 0.0
+        return Rollouts(np.array([10.0, 20.0]), np.array([2, 2]), angles)
+
+
+def test_a_policy_that_unlearns_raises_the_alarm_once(
+    trainer: FakeTrainer, tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    hook = EvaluationHook(
+        FallingEvaluator(), None, 100, tmp_path / "curve.jsonl", [lambda: {"actor_updates": 5.0}]
+    )
+    hook.register(trainer)
+    frames_evaluated(hook, trainer, (0, 100, 200))
+    (alarm,) = (tmp_path / "alarms.jsonl").read_text().splitlines()
+    assert json.loads(alarm)["best_success"] == 0.5
+    assert [r.getMessage() for r in caplog.records if "unlearning" in r.getMessage()] != []

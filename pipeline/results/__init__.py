@@ -1,0 +1,1 @@
+"""From evaluated runs to what is published: tables, curves, policies."""

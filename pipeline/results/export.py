@@ -1,0 +1,74 @@
+"""A trained policy as three small files that ``make eval`` reads like a run directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from omegaconf import OmegaConf
+
+from pipeline.policy import WEIGHTS, load_policy, save_weights
+from pipeline.results.rows import Seed
+from pipeline.run_dir import CONFIG, write_atomically
+
+CARD = "README.md"
+SHOWN = {
+    "share_gt_1_35": "doors above 1.35 rad",
+    "share_gt_0_2": "doors above 0.2 rad",
+    "return_mean": "return",
+    "angle_mean_deg": "largest angle, degrees",
+    "steps_to_open_median": "steps until 1.35 rad, median",
+}
+
+
+def export_policy(seed: Seed, folder: Path, *, name: str) -> None:
+    """Writes weights, resolved configuration and card of the newest checkpoint of a run.
+
+    Args:
+        seed: The run.
+        folder: Where to; made if needed.
+        name: Of the recipe, for the card.
+
+    Raises:
+        FileNotFoundError, ValueError: As ``load_policy``.
+    """
+    policy, origin = load_policy(seed.config, seed.run_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    save_weights(policy, folder / WEIGHTS, frames=origin.frames)
+    # Of the paths only names stay: others have other folders.
+    config = OmegaConf.merge(
+        seed.config,
+        {
+            "run_dir": folder.name,
+            "resume": None,
+            "demos": {"source": Path(seed.config.demos.source).name},
+            "torch_threads": None,
+            "env": {"num_threads": None},
+        },
+    )
+    write_atomically(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
+    write_atomically(folder / CARD, _card(seed, name, origin.frames))
+
+
+def _card(seed: Seed, name: str, frames: int) -> str:
+    config, evaluation = seed.config, seed.evaluation
+    figures = "\n".join(
+        f"| {label} | {evaluation[key]:.4g} |"
+        for key, label in SHOWN.items()
+        if evaluation.get(key) is not None
+    )
+    made_from = evaluation["made_from"]
+    return f"""# Policy `{name}`
+
+Opens the door of the paper's task: 38 observations in, 28 actions in (-1, 1) out, 100 Hz position control.
+
+| | |
+|---|---|
+| variant, preset, seed | {config.variant}, {config.preset}, {config.seed} (the median of its row by return) |
+| frames | {frames} |
+| demonstrations | {Path(config.demos.source).name}{", multiplied" if config.demos.multiply.enabled else ""} |
+| network | {" x ".join(str(width) for width in config.actor.hidden)} |
+{figures}
+
+Over {evaluation["episodes"]} doors, evaluation seed {made_from["evaluation_seed"]}, {made_from["exploration"]} action. Again: `make eval RUN=docs/results/policies/{name}`.
+Weights are in `{WEIGHTS}` (safetensors: tensors only), the configuration in `{CONFIG}`.
+"""  # noqa: E501 - lines of Markdown

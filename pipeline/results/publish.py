@@ -1,0 +1,79 @@
+"""``make results``: evaluated runs in, everything below ``docs/results`` out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.results.export import export_policy
+from pipeline.results.plots import AXES, plot_curves, plot_diagnostics
+from pipeline.results.rows import ResultRow, load_rows
+from pipeline.results.tables import render_rows
+from pipeline.run_dir import write_atomically
+
+TABLE = "table.json"
+TABLES = "tables.md"
+ORDER = (
+    "sac", "bc", "bc_sac_0.1", "bc_sac_1", "bc_sac_10", "dbc_sac", "sid_bc", "sid_dbc",
+    "ila_bc", "ila_dbc", "da_sac", "best",
+)  # fmt: skip
+"""Of the paper's tables, then our own."""
+
+
+def publish(runs: Path, out: Path) -> list[ResultRow]:
+    """Writes tables, per-seed files, figures and one policy per row.
+
+    Args:
+        runs: Holds ``ROW/seedN`` run directories.
+        out: Folder, e.g. ``docs/results``.
+
+    Returns:
+        The rows, in the order of the tables.
+
+    Raises:
+        RunDirectoryError: If there is nothing to publish or something cannot be read.
+    """
+    rows = sorted(load_rows(runs), key=lambda row: (_place(row.name), row.name))
+    for row in rows:
+        folder = out / "rows" / row.name
+        folder.mkdir(parents=True, exist_ok=True)
+        for seed in row.seeds:
+            write_atomically(folder / f"seed{seed.seed}.json", _compact(seed.published()))
+        curves = [seed.curve for seed in row.seeds if seed.curve]
+        if curves:
+            plot_diagnostics(f"{row.name}: {len(curves)} seeds", curves, folder / "diagnostics.png")
+        export_policy(row.median, out / "policies" / row.name, name=row.name)
+    for x in AXES:
+        plot_curves(rows, x, out / f"curves_{x}.png")
+    write_atomically(out / TABLE, json.dumps(table(rows), indent=1) + "\n")
+    write_atomically(out / TABLES, render_rows(rows) + "\n")
+    return rows
+
+
+def table(rows: Sequence[ResultRow]) -> dict[str, Any]:
+    """``table.json``: for each row its frames, its preset and the evaluation of every seed."""
+    return {
+        row.name: {
+            "frames": row.seeds[0].evaluation["made_from"]["frames"],
+            "preset": row.seeds[0].evaluation["made_from"]["preset"],
+            "seeds": [_figures(seed.published()) for seed in row.seeds],
+        }
+        for row in rows
+    }
+
+
+def _figures(published: dict[str, Any]) -> dict[str, Any]:
+    kept = {k: v for k, v in published.items() if k not in {"curve", "alarms", "made_from"}}
+    return {"seed": published["made_from"]["seed"], **kept}
+
+
+def _place(name: str) -> int:
+    return ORDER.index(name) if name in ORDER else len(ORDER)
+
+
+def _compact(content: dict[str, Any]) -> str:
+    """One line for each entry, so that curves stay readable in a diff."""
+    lines = (f"{json.dumps(key)}: {json.dumps(value)}" for key, value in content.items())
+    return "{\n" + ",\n".join(lines) + "\n}\n"

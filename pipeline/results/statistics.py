@@ -1,0 +1,68 @@
+"""Interquartile means over seeds with stratified bootstrap intervals (rliable)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rliable import library, metrics
+
+REPETITIONS = 2000
+"""Bootstrap samples."""
+SEED = 0
+"""Of the bootstrap: the same runs give the same interval."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An interquartile mean (arXiv:2108.13264) and its 95 % interval; shapes [T] of a curve."""
+
+    iqm: Floats
+    low: Floats
+    high: Floats
+
+
+def interquartile_means(curves: Mapping[str, ArrayLike]) -> dict[str, Estimate]:
+    """Estimates by name, the runs of each being the units that are drawn again.
+
+    Args:
+        curves: Values [S, T] of S seeds at T points; T is 1 for a final score.
+
+    Raises:
+        ValueError: If values are not [S, T] or not finite.
+    """
+    scores = {}
+    for name, values in curves.items():
+        array = np.asarray(values, dtype=np.float64)
+        if array.ndim != 2 or array.size == 0 or not np.isfinite(array).all():
+            raise ValueError(f"{name}: expected finite values [seeds, points], got {array.shape}")
+        scores[name] = array[:, None, :]  # one task
+
+    def aggregate(runs: Floats) -> Floats:
+        return np.array([metrics.aggregate_iqm(runs[..., t]) for t in range(runs.shape[-1])])
+
+    points, intervals = library.get_interval_estimates(
+        scores,
+        aggregate,
+        reps=REPETITIONS,
+        random_state=np.random.RandomState(SEED),  # arch's bootstrap takes this kind or a Generator
+    )
+    return {n: Estimate(points[n], intervals[n][0], intervals[n][1]) for n in scores}
+
+
+def on_grid(x: Sequence[float], y: Sequence[float], grid: ArrayLike) -> Floats:
+    """The curve ``y(x)`` read at ``grid`` [T]: the last value measured by then.
+
+    Before the first measurement it is the first one, since every run is measured at its start.
+
+    Args:
+        x: Increasing, shape [N].
+        y: Shape [N].
+        grid: Shape [T].
+    """
+    index = np.searchsorted(np.asarray(x, dtype=np.float64), np.asarray(grid), side="right") - 1
+    return np.asarray(y, dtype=np.float64)[np.clip(index, 0, None)]

@@ -1,0 +1,155 @@
+"""Published results: statistics by hand, and a set of tiny runs from end to end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from tensordict import TensorDict
+
+from pipeline.build import build_run
+from pipeline.evaluate_run import evaluate_run
+from pipeline.policy import WEIGHTS, load_policy
+from pipeline.results.publish import publish
+from pipeline.results.rows import ResultRow, load_rows
+from pipeline.results.statistics import interquartile_means, on_grid
+from pipeline.run_dir import EVALUATION, RunDirectoryError, load_config
+from tests.pipeline.toys import tiny_config
+
+# ------------------------------------------------------------------------------------ statistics
+
+
+def test_the_interquartile_mean_leaves_out_the_best_and_the_worst_of_five():
+    found = interquartile_means({"a": [[0.0, 5.0], [1.0, 5.0], [2.0, 5.0], [3.0, 5.0], [99.0, 5.0]]})
+    assert found["a"].iqm.tolist() == [2.0, 5.0]
+    assert 0.0 <= found["a"].low[0] < 2.0 < found["a"].high[0] <= 99.0
+    assert found["a"].low[1] == found["a"].high[1] == 5.0
+
+
+def test_intervals_are_the_same_every_time():
+    curves = {"a": np.random.default_rng(0).normal(size=(5, 3))}
+    first, second = (interquartile_means(curves)["a"] for _ in range(2))
+    assert np.array_equal(first.low, second.low)
+    assert np.array_equal(first.high, second.high)
+
+
+def test_values_that_are_not_numbers_are_refused():
+    with pytest.raises(ValueError, match="a: expected finite values"):
+        interquartile_means({"a": [[float("nan")]]})
+
+
+def test_a_curve_holds_its_last_value_until_the_next():
+    grid = [0.0, 9.9, 10.0, 15.0, 99.0]
+    assert on_grid([5, 10, 20], [1, 2, 3], grid).tolist() == [1, 1, 2, 2, 3]
+
+
+@given(st.lists(st.floats(-10, 10), min_size=1, max_size=20))
+def test_a_curve_read_where_it_was_measured_is_itself(y: list[float]):
+    x = list(range(len(y)))
+    assert on_grid(x, y, x).tolist() == y
+
+
+# ------------------------------------------------------------------------------------ end to end
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory, demos: Path) -> Path:
+    """Evaluated runs of one row with two seeds and one with one, and a run that is under way."""
+    folder = tmp_path_factory.mktemp("rows")
+    for row, variant, seeds in (("best_of_two", "dbc_sac", (0, 1)), ("bc", "bc", (0,))):
+        for seed in seeds:
+            run_dir = folder / row / f"seed{seed}"
+            config = tiny_config(
+                variant, folder, demos, f"run_dir='{run_dir}'", f"seed={seed}", "torch_threads=1"
+            )
+            build_run(config).train()
+            evaluation = evaluate_run(run_dir, episodes=2)
+            (run_dir / EVALUATION).write_text(json.dumps(evaluation))
+    (folder / "bc" / "seed1").mkdir()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def published(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("results")
+    publish(runs, out)
+    return out
+
+
+def test_runs_that_are_not_evaluated_are_left_out(runs: Path):
+    assert {row.name: [s.seed for s in row.seeds] for row in load_rows(runs)} == {
+        "bc": [0],
+        "best_of_two": [0, 1],
+    }
+
+
+def test_a_folder_without_runs_names_the_command(tmp_path: Path):
+    with pytest.raises(RunDirectoryError, match="make rows"):
+        load_rows(tmp_path)
+
+
+def test_the_table_holds_every_seed_s_evaluation(runs: Path, published: Path):
+    table = json.loads((published / "table.json").read_text())
+    assert list(table) == ["bc", "best_of_two"]
+    row = table["best_of_two"]
+    assert (row["frames"], row["preset"]) == (40, "smoke")
+    assert [seed["seed"] for seed in row["seeds"]] == [0, 1]
+    evaluation = json.loads((runs / "best_of_two" / "seed1" / EVALUATION).read_text())
+    assert row["seeds"][1]["return_mean"] == evaluation["return_mean"]
+    assert table["bc"]["frames"] == 0
+
+
+def test_published_files_name_no_place_on_this_machine(runs: Path, published: Path):
+    for path in published.rglob("*"):
+        if path.suffix in {".json", ".md", ".yaml"}:
+            text = path.read_text()
+            assert str(runs) not in text, path
+            assert str(runs.parent) not in text, path
+
+
+def test_curves_keep_a_row_for_each_evaluation(published: Path):
+    seed = json.loads((published / "rows" / "best_of_two" / "seed0.json").read_text())
+    assert seed["curve"]["frames"][-1] == 40
+    assert {len(column) for column in seed["curve"].values()} == {len(seed["curve"]["frames"])}
+
+
+def test_figures_are_drawn(published: Path):
+    for name in ("curves_frames.png", "curves_wall_s.png", "rows/best_of_two/diagnostics.png"):
+        assert (published / name).stat().st_size > 5000
+
+
+def test_the_tables_have_a_line_for_each_row(published: Path):
+    text = (published / "tables.md").read_text()
+    assert text.count("| best_of_two |") == 2
+    assert "0.0 % [0.0 %, 0.0 %] / 27.6 %" in text
+
+
+def test_a_published_policy_acts_like_its_run(runs: Path, published: Path):
+    folder = published / "policies" / "bc"
+    ours, origin = load_policy(load_config(folder), folder)
+    theirs, _ = load_policy(load_config(runs / "bc" / "seed0"), runs / "bc" / "seed0")
+    observation = TensorDict({"observation": torch.randn(5, 38)}, [5])
+    with torch.no_grad():
+        assert torch.equal(ours.get_dist(observation).loc, theirs.get_dist(observation).loc)
+    assert origin.name == WEIGHTS
+    assert evaluate_run(folder, episodes=2)["return_mean"] == pytest.approx(
+        evaluate_run(runs / "bc" / "seed0", episodes=2)["return_mean"]
+    )
+
+
+def test_published_weights_of_another_size_are_refused(published: Path):
+    folder = published / "policies" / "best_of_two"
+    config = load_config(folder, ["actor.hidden=[16]"])
+    with pytest.raises(ValueError, match=r"policy\.safetensors is damaged or does not fit"):
+        load_policy(config, folder)
+
+
+def test_the_median_seed_is_published(runs: Path):
+    (row,) = (row for row in load_rows(runs) if row.name == "best_of_two")
+    best, worst = sorted(row.seeds, key=lambda s: -s.evaluation["return_mean"])
+    assert ResultRow("three", (best, worst, worst)).median is worst
