@@ -79,8 +79,9 @@ def _free_cores() -> int:
     """Cores of this process that other work leaves free at this moment.
 
     Observed, not the load average of the last minute: that still counts what has just ended, and
-    the second of two runs in a row would get one thread. Threads that wait for a core hold up all others of their operation: two threads beside two
-    busy processes on two cores were 15 times slower than one.
+    the second of two runs in a row would get one thread. Threads that wait for a core hold up all
+    others of their operation: two threads beside two busy processes on two cores were 15 times
+    slower than one.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     busy = psutil.cpu_percent(interval=LOOK_S) / 100.0 * (psutil.cpu_count() or 1)
