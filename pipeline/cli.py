@@ -1,4 +1,4 @@
-"""Command line of everything but training: eval, table, results, plot, demos-check, record, video."""
+"""Command line of everything but training: evaluations, results, demonstrations, films."""
 
 from __future__ import annotations
 

@@ -100,7 +100,13 @@ def behaviour_cloned(
             "critic": {"hidden": [8], "num_critics": 1},  # not trained offline
         },
     )
-    identity = [demos.content_hash, config.demos.held_out, config.env.name, config.seed, config.device]
+    identity = [
+        demos.content_hash,
+        config.demos.held_out,
+        config.env.name,
+        config.seed,
+        config.device,
+    ]
     identity += [OmegaConf.to_container(part) for part in (config.actor, config.bc)]
     identity += [config.loss.imitation, config.loss.action_margin, config.precision]
     digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:16]

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.modules import TanhNormal
 
 from losses import BCSACLoss
 from losses import functional as F
@@ -50,7 +51,8 @@ class DemonstrationProbe:
         """
         keys = self.loss.tensor_keys
         observation = self.training[keys.observation]
-        own = policy_distribution(self.loss.actor, observation).deterministic_sample
+        policy: TanhNormal = policy_distribution(self.loss.actor, observation)
+        own = policy.deterministic_sample
         found = {
             "q_demo_actions": self._value(observation, self.training[keys.action]),
             "q_policy_actions": self._value(observation, own),

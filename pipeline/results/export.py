@@ -6,6 +6,7 @@ from pathlib import Path
 
 from omegaconf import OmegaConf
 
+from configs.schema import Config
 from pipeline.policy import WEIGHTS, load_policy, save_weights
 from pipeline.results.rows import Seed
 from pipeline.run_dir import CONFIG, write_atomically
@@ -40,6 +41,7 @@ def export_policy(seed: Seed, folder: Path, *, name: str) -> None:
         {
             "run_dir": folder.name,
             "resume": None,
+            "cache_dir": Config.cache_dir,
             "demos": {"source": Path(seed.config.demos.source).name},
             "torch_threads": None,
             "env": {"num_threads": None},

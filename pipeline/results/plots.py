@@ -72,9 +72,7 @@ def plot_diagnostics(title: str, curves: Sequence[Sequence[Mapping[str, Any]]], 
         raise RunDirectoryError(f"{title}: no learning curve; train with evaluation.interval > 0")
     figure = Figure(figsize=(13, 7), layout="constrained")
     figure.suptitle(title)
-    for axis, (label, keys, logarithmic) in zip(
-        figure.subplots(2, 3).flat, PANELS, strict=True
-    ):
+    for axis, (label, keys, logarithmic) in zip(figure.subplots(2, 3).flat, PANELS, strict=True):
         for number, key in enumerate(keys):
             for run, curve in enumerate(curves):
                 y = _column(curve, key)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from rliable import library, metrics
+from rliable import library
+from scipy.stats import trim_mean
 
 REPETITIONS = 2000
 """Bootstrap samples."""
@@ -43,14 +44,17 @@ def interquartile_means(curves: Mapping[str, ArrayLike]) -> dict[str, Estimate]:
         scores[name] = array[:, None, :]  # one task
 
     def aggregate(runs: Floats) -> Floats:
-        return np.array([metrics.aggregate_iqm(runs[..., t]) for t in range(runs.shape[-1])])
+        # rliable's aggregate_iqm of each point, all points at once.
+        trimmed: Floats = trim_mean(runs[:, 0], 0.25, axis=0)
+        return trimmed
 
-    points, intervals = library.get_interval_estimates(
-        scores,
-        aggregate,
-        reps=REPETITIONS,
-        random_state=np.random.RandomState(SEED),  # arch's bootstrap takes this kind or a Generator
-    )
+    # rliable 1.2 draws from numpy's global generator, whatever random state it is given.
+    state = np.random.get_state()
+    np.random.seed(SEED)
+    try:
+        points, intervals = library.get_interval_estimates(scores, aggregate, reps=REPETITIONS)
+    finally:
+        np.random.set_state(state)
     return {n: Estimate(points[n], intervals[n][0], intervals[n][1]) for n in scores}
 
 

@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from pipeline.build import build_run
 from pipeline.diagnostics import DemonstrationProbe, TrainingState
-from pipeline.run_dir import LEARNING_CURVE
 from pipeline.results.rows import read_lines
+from pipeline.run_dir import LEARNING_CURVE
 from pipeline.stepper import BCSACStepper
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_loss, tiny_config
 
@@ -108,5 +108,3 @@ def test_holding_out_every_demonstration_is_refused(tmp_path: Path, demos: Path)
     config = tiny_config("dbc_sac", tmp_path, demos, "torch_threads=1", "demos.held_out=2")
     with pytest.raises(ValueError, match=r"demos\.held_out must .* got 2 of 2 episodes"):
         build_run(config)
-
-

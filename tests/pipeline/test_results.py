@@ -25,7 +25,9 @@ from tests.pipeline.toys import tiny_config
 
 
 def test_the_interquartile_mean_leaves_out_the_best_and_the_worst_of_five():
-    found = interquartile_means({"a": [[0.0, 5.0], [1.0, 5.0], [2.0, 5.0], [3.0, 5.0], [99.0, 5.0]]})
+    found = interquartile_means(
+        {"a": [[0.0, 5.0], [1.0, 5.0], [2.0, 5.0], [3.0, 5.0], [99.0, 5.0]]}
+    )
     assert found["a"].iqm.tolist() == [2.0, 5.0]
     assert 0.0 <= found["a"].low[0] < 2.0 < found["a"].high[0] <= 99.0
     assert found["a"].low[1] == found["a"].high[1] == 5.0

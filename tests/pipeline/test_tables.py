@@ -107,7 +107,9 @@ def test_bc_sac_has_a_row_per_lambda(weight: float | None, expected: float | Non
     assert (row.return_mean if row is not None else None) == expected
 
 
-@pytest.mark.parametrize("variant", sorted({name for name in PAPER if not name.startswith("bc_sac_")}))
+@pytest.mark.parametrize(
+    "variant", sorted({name for name in PAPER if not name.startswith("bc_sac_")})
+)
 def test_other_variants_have_their_row_whatever_lambda(variant: str):
     assert paper_row(variant, 123.0) is PAPER[variant]
 
