@@ -10,8 +10,9 @@ from omegaconf import OmegaConf
 
 import configs
 
-VARIANTS = ["sac", "bc", "bc_sac", "dbc_sac", "sid_bc", "sid_dbc", "ila_bc", "ila_dbc", "da_sac"]
-PRESETS = ["smoke", "default", "paper"]
+PAPER = ["sac", "bc", "bc_sac", "dbc_sac", "sid_bc", "sid_dbc", "ila_bc", "ila_dbc", "da_sac"]
+VARIANTS = [*PAPER, "best"]
+PRESETS = ["smoke", "default", "table", "paper"]
 
 
 def compose_config(variant: str, preset: str, *overrides: str) -> configs.Config:
@@ -106,7 +107,7 @@ def test_sac_sees_no_demonstration(preset: str):
     assert [name for name, on in used.items() if on] == []
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("variant", PAPER)
 def test_the_paper_preset_is_section_iv_b_and_nothing_of_ours(variant: str):
     config = flat(variant, "paper")
     paper = {

@@ -26,7 +26,9 @@ from pipeline.run_dir import (
 from pipeline.trainer import Run
 from tests.pipeline.toys import parameters_of, same, tiny_config
 
-VARIANTS = ["sac", "bc", "bc_sac", "dbc_sac", "sid_bc", "sid_dbc", "ila_bc", "ila_dbc", "da_sac"]
+VARIANTS = [
+    "sac", "bc", "bc_sac", "dbc_sac", "sid_bc", "sid_dbc", "ila_bc", "ila_dbc", "da_sac", "best",
+]  # fmt: skip
 
 
 def part(run: Run, name: str):
