@@ -87,7 +87,7 @@ $(ROW_RUNS)/%/evaluation.json: | $(STAMP)
 
 .PHONY: results
 results: $(STAMP) ## publish the evaluated runs below ROW_RUNS=runs/rows to docs/results [OUT=dir]
-	@$(RUN_PYTHON) -m pipeline.cli results "$(ROW_RUNS)" $(OUT_ARGS)
+	@$(RUN_PYTHON) -m pipeline.cli results "$(ROW_RUNS)" $(OUT_ARGS) $(ARGS)
 
 .PHONY: plot
 plot: $(STAMP) ## diagnostics of RUN=dir over frames [OUT=file]

@@ -119,6 +119,7 @@ class OptimConfig:
     target_period: int = 2  # critic updates per target update
     actor_delay: int = 0  # critic updates before the first actor update (critic warm-up)
     max_grad_norm: float | None = None
+    actor_average: float | None = None  # evaluate an average of the weights; kept per update
     anneal_actor: bool = False  # cosine from actor_lr to 0 over the run
     diagnostics_period: int = 100  # actor updates between gradient diagnostics
 

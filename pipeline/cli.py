@@ -54,12 +54,13 @@ def table(
 def results(
     runs: Annotated[Path, typer.Argument(help="Folder of runs, ROW/seedN below it.")],
     out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("docs/results"),
+    policies: Annotated[bool, typer.Option(help="Export a policy per row.")] = True,
 ) -> None:
     """Publish evaluated runs: tables over seeds, curves, diagnostics and a policy per row."""
     from pipeline.results.publish import publish  # noqa: PLC0415 - needs the extra `results`
 
     out.mkdir(parents=True, exist_ok=True)
-    for row in publish(runs, out):
+    for row in publish(runs, out, policies=policies):
         typer.echo(f"{row.name}: {len(row.seeds)} seeds")
     typer.echo(f"written to {out}")
 

@@ -22,7 +22,7 @@ from pipeline.compute import hidden_dtype
 from pipeline.diagnostics import DemonstrationProbe, TrainingState
 from pipeline.grow import admit_rollouts
 from pipeline.harvest import AdmissionRule, Harvest
-from pipeline.hooks import DemoUpdateHook, EpisodeHook, GrownHook, StoreHook
+from pipeline.hooks import ActorAverageHook, DemoUpdateHook, EpisodeHook, GrownHook, StoreHook
 from pipeline.mixture import DRAWS, Mixture
 from pipeline.stepper import BCSACStepper, StepRhythm
 from pipeline.time_use import TimeUse
@@ -73,6 +73,10 @@ def build_online(
         max_grad_norm=config.optim.max_grad_norm,
         anneal_updates=_actor_updates(config) if config.optim.anneal_actor else None,
     )
+    average = None
+    if config.optim.actor_average is not None:
+        average = ActorAverageHook(actor, config.optim.actor_average)
+    policy = actor if average is None else average.average
     collector = Collector(
         env,
         actor,
@@ -90,7 +94,7 @@ def build_online(
     trainer = make_trainer(
         config,
         run_dir,
-        make_checkpoint(actor, CollectorState(collector)),
+        make_checkpoint(policy, CollectorState(collector)),
         time_use,
         collector=collector,
         total_frames=config.collector.total_frames,
@@ -98,6 +102,8 @@ def build_online(
         loss_module=loss,
         optimization_stepper=stepper,
     )
+    if average is not None:
+        average.register(trainer)
     harvest = None
     if grown is not None:
         GrownHook(grown).register(trainer)
@@ -114,8 +120,8 @@ def build_online(
     diagnostics: list[Callable[[], Mapping[str, float]]] = [TrainingState(stepper)]
     if demos is not None:
         diagnostics.append(DemonstrationProbe(loss, demos.rows, demos.held_out))
-    make_evaluation_hook(config, actor, run_dir, time_use, *diagnostics).register(trainer)
-    return Run(config, run_dir, trainer, actor, time_use)
+    make_evaluation_hook(config, policy, run_dir, time_use, *diagnostics).register(trainer)
+    return Run(config, run_dir, trainer, policy, time_use)
 
 
 def _demonstration_distribution(

@@ -1,9 +1,17 @@
 """Trainer hooks: small adapters between TorchRL's training loop and the pieces of the pipeline."""
 
+from pipeline.hooks.average import ActorAverageHook
 from pipeline.hooks.demo_update import DemoUpdateHook
 from pipeline.hooks.episodes import EpisodeHook
 from pipeline.hooks.evaluate import EvaluationHook
 from pipeline.hooks.grown import GrownHook
 from pipeline.hooks.store import StoreHook
 
-__all__ = ["DemoUpdateHook", "EpisodeHook", "EvaluationHook", "GrownHook", "StoreHook"]
+__all__ = [
+    "ActorAverageHook",
+    "DemoUpdateHook",
+    "EpisodeHook",
+    "EvaluationHook",
+    "GrownHook",
+    "StoreHook",
+]

@@ -22,12 +22,13 @@ ORDER = (
 """Of the paper's tables, then our own."""
 
 
-def publish(runs: Path, out: Path) -> list[ResultRow]:
+def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
     """Writes tables, per-seed files, figures and one policy per row.
 
     Args:
         runs: Holds ``ROW/seedN`` run directories.
         out: Folder, e.g. ``docs/results``.
+        policies: Whether policies are written.
 
     Returns:
         The rows, in the order of the tables.
@@ -44,7 +45,8 @@ def publish(runs: Path, out: Path) -> list[ResultRow]:
         curves = [seed.curve for seed in row.seeds if seed.curve]
         if curves:
             plot_diagnostics(f"{row.name}: {len(curves)} seeds", curves, folder / "diagnostics.png")
-        export_policy(row.median, out / "policies" / row.name, name=row.name)
+        if policies:
+            export_policy(row.median, out / "policies" / row.name, name=row.name)
     for x in AXES:
         plot_curves(rows, x, out / f"curves_{x}.png")
     write_atomically(out / TABLE, json.dumps(table(rows), indent=1) + "\n")

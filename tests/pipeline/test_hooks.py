@@ -14,7 +14,13 @@ import torch
 
 from pipeline.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
 from pipeline.evaluation import Rollouts
-from pipeline.hooks import DemoUpdateHook, EpisodeHook, EvaluationHook, StoreHook
+from pipeline.hooks import (
+    ActorAverageHook,
+    DemoUpdateHook,
+    EpisodeHook,
+    EvaluationHook,
+    StoreHook,
+)
 from pipeline.mixture import Mixture
 from pipeline.rows import TransitionRows
 from tests.pipeline.toys import tagged_rows, trajectory
@@ -261,3 +267,22 @@ def test_a_policy_that_unlearns_raises_the_alarm_once(
     (alarm,) = (tmp_path / "alarms.jsonl").read_text().splitlines()
     assert json.loads(alarm)["best_success"] == 0.5
     assert [r.getMessage() for r in caplog.records if "unlearning" in r.getMessage()] != []
+
+
+def test_the_actor_s_average_moves_by_hand():
+    actor = torch.nn.Linear(1, 1, bias=False)
+    torch.nn.init.constant_(actor.weight, 1.0)
+    hook = ActorAverageHook(actor, decay=0.75)
+    torch.nn.init.constant_(actor.weight, 5.0)
+    hook()
+    assert hook.average.weight.item() == pytest.approx(2.0)  # 0.75 x 1 + 0.25 x 5
+    hook()
+    assert hook.average.weight.item() == pytest.approx(2.75)
+    assert actor.weight.item() == 5.0
+    assert not hook.average.weight.requires_grad
+
+
+@pytest.mark.parametrize("decay", [0.0, 1.0, -0.1])
+def test_a_decay_out_of_range_names_its_key(decay: float):
+    with pytest.raises(ValueError, match=r"optim\.actor_average must be in \(0, 1\)"):
+        ActorAverageHook(torch.nn.Linear(1, 1), decay)
