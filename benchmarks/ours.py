@@ -50,7 +50,8 @@ def make_stepper(config: Config) -> BCSACStepper:
     actor = components.make_policy(config.actor, env, None, config.device, dtype)
     critic = components.make_critic(config.critic, env, None, config.device, dtype)
     env.close()
-    loss = components.make_loss(config.loss, actor, critic, ACTION_SIZE)
+    updates = components.actor_updates(config)
+    loss = components.make_loss(config.loss, actor, critic, ACTION_SIZE, updates)
     optim = config.optim
     return BCSACStepper(
         loss,

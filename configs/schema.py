@@ -79,7 +79,7 @@ class WeightConfig:
     init: float | None = 0.0  # lambda, or lambda_0; null for piecewise
     decay: float | None = None  # exponential: alpha in lambda_0 * alpha**n
     final: float | None = None  # linear, cosine: value after `duration`
-    duration: int | None = None  # linear, cosine: updates
+    duration: int | None = None  # linear, cosine: updates; null = all of the run's
     milestones: list[int] | None = None  # piecewise: updates
     values: list[float] | None = None  # piecewise: one more than milestones
 

@@ -45,7 +45,8 @@ def build_offline(
     dtype = hidden_dtype(config)
     actor = components.make_policy(config.actor, env, normalizer, config.device, dtype)
     critic = components.make_critic(config.critic, env, None, config.device)
-    loss = components.make_loss(config.loss, actor, critic, env.action_spec.shape[-1])
+    updates = components.actor_updates(config)
+    loss = components.make_loss(config.loss, actor, critic, env.action_spec.shape[-1], updates)
     env.close()
     core = DemonstrationDistribution(make_core_buffer(demos.rows, config.device))
     mixture = Mixture(
@@ -69,7 +70,7 @@ def build_offline(
         optimization_stepper=ImitationStepper(
             loss,
             actor_lr=config.bc.lr,
-            anneal_updates=config.bc.updates if config.bc.anneal else None,
+            anneal_updates=updates if config.bc.anneal else None,
         ),
     )
     trainer.register_op("process_optim_batch", time_use.timed(mixture, "sample"))

@@ -26,6 +26,10 @@ from pipeline.networks import BatchedCritics, ObservationNormalizer, make_actor
 from pipeline.rows import TransitionRows
 
 
+LASTING = ("linear", "cosine")
+"""Schedules that take the whole run unless they have a duration of their own."""
+
+
 @dataclass(frozen=True)
 class Demonstrations:
     """The core of D, ready for the buffers."""
@@ -143,13 +147,38 @@ def make_critic(
     ).to(device)
 
 
+def actor_updates(config: Config) -> int:
+    """Actor updates of the whole run: what annealing and schedules that last as long count."""
+    if config.offline:
+        return config.bc.updates
+    learning_frames = config.collector.total_frames - config.collector.random_frames
+    critic_updates = round(config.optim.updates_per_frame * learning_frames)
+    if config.sampler.demo_update_period:
+        critic_updates += critic_updates // config.sampler.demo_update_period
+    return max(critic_updates - config.optim.actor_delay, 0) // config.optim.actor_period
+
+
 def make_loss(
-    loss: LossConfig, actor: ProbabilisticActor, critic: BatchedCritics, action_size: int
+    loss: LossConfig,
+    actor: ProbabilisticActor,
+    critic: BatchedCritics,
+    action_size: int,
+    updates: int,
 ) -> BCSACLoss:
-    """BCSACLoss with the configured terms."""
+    """BCSACLoss with the configured terms.
+
+    Args:
+        loss: Its configuration.
+        actor: Policy.
+        critic: Ensemble.
+        action_size: Dimensions of an action.
+        updates: Of the actor in the whole run, over which a weight without ``duration`` moves.
+    """
     # A dataclass when composed in Python, a DictConfig when composed by Hydra.
     weight = OmegaConf.to_container(OmegaConf.create(cast(Any, loss.bc_weight)), resolve=True)
     schedule = {k: v for k, v in cast(dict[str, Any], weight).items() if v is not None}
+    if schedule["kind"] in LASTING:
+        schedule.setdefault("duration", max(updates, 1))
     return BCSACLoss(
         actor,
         critic,

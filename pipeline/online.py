@@ -42,7 +42,8 @@ def build_online(
     actor = components.make_policy(config.actor, env, normalizer, device, dtype)
     normalizer = components.make_normalizer(config.critic, demos)
     critic = components.make_critic(config.critic, env, normalizer, device, dtype)
-    loss = components.make_loss(config.loss, actor, critic, env.action_spec.shape[-1])
+    updates = components.actor_updates(config)
+    loss = components.make_loss(config.loss, actor, critic, env.action_spec.shape[-1], updates)
     if config.pretrain:
         actor.load_state_dict(behaviour_cloned(config, demos, time_use).state_dict())
 
@@ -71,7 +72,7 @@ def build_online(
         ),
         bc_gradient_ratio=config.loss.bc_gradient_ratio,
         max_grad_norm=config.optim.max_grad_norm,
-        anneal_updates=_actor_updates(config) if config.optim.anneal_actor else None,
+        anneal_updates=updates if config.optim.anneal_actor else None,
     )
     average = None
     if config.optim.actor_average is not None:
@@ -165,11 +166,3 @@ def _updates_per_batch(config: Config) -> int:
             f"number of at least 1, got {updates}."
         )
     return round(updates)
-
-
-def _actor_updates(config: Config) -> int:
-    learning_frames = config.collector.total_frames - config.collector.random_frames
-    critic_updates = round(config.optim.updates_per_frame * learning_frames)
-    if config.sampler.demo_update_period:
-        critic_updates += critic_updates // config.sampler.demo_update_period
-    return max(critic_updates - config.optim.actor_delay, 0) // config.optim.actor_period

@@ -287,3 +287,19 @@ def test_a_run_composed_without_hydra(tmp_path: Path, demos: Path):
     assert run.trainer.loss_module.current_bc_weight == 0.5
     assert part(run, "optimization_stepper").critic_updates == 10
     assert not (run.run_dir / LEARNING_CURVE).exists()
+
+
+def test_a_weight_without_a_duration_moves_over_the_whole_run(tmp_path: Path, demos: Path):
+    config = tiny_config("best", tmp_path, demos, "optim.updates_per_frame=0.5")
+    run = build_run(config)
+    first = run.trainer.loss_module.current_bc_weight
+    run.train()
+    # 40 frames at half an update, the actor in every second of them.
+    assert run.trainer.loss_module.updates == 10
+    assert first == config.loss.bc_weight.init
+    assert run.trainer.loss_module.current_bc_weight == pytest.approx(config.loss.bc_weight.final)
+
+
+def test_a_duration_that_is_given_is_kept(tmp_path: Path, demos: Path):
+    config = tiny_config("best", tmp_path, demos, "loss.bc_weight.duration=7")
+    assert build_run(config).trainer.loss_module.bc_weight.duration == 7
