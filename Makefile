@@ -41,7 +41,7 @@ $(call require,eval record video plot,RUN,runs/my_run)
 $(call require,table,RUNS,"runs/one runs/two")
 
 # ---- the rows of the tables: one run for each row and seed ------------------------------------
-ROWS ?= sac bc bc_sac_0.1 bc_sac_1 bc_sac_10 dbc_sac sid_bc sid_dbc ila_bc ila_dbc da_sac best
+ROWS ?= sac bc bc_sac_0.1 bc_sac_1 bc_sac_10 dbc_sac sid_bc sid_dbc ila_bc ila_dbc da_sac
 SEEDS ?= 0 1 2 3 4
 ROW_RUNS ?= runs/rows
 ROW_PRESET ?= $(if $(PRESET),$(PRESET),table)

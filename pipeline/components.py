@@ -25,7 +25,6 @@ from pipeline.evaluation import Evaluator
 from pipeline.networks import BatchedCritics, ObservationNormalizer, make_actor
 from pipeline.rows import TransitionRows
 
-
 LASTING = ("linear", "cosine")
 """Schedules that take the whole run unless they have a duration of their own."""
 
