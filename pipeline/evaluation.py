@@ -207,6 +207,7 @@ def run_wave(
     returns = torch.zeros(n, 1, dtype=torch.float64, device=td.device)
     lengths = torch.zeros(n, 1, dtype=torch.int64, device=td.device)
     angles: list[torch.Tensor] = []
+    is_door = isinstance(env, DoorEnv)
     nearest = torch.full((n,), torch.inf, device=td.device)
     widest_latch = torch.full((n,), -torch.inf, device=td.device)
     while active.any():
@@ -216,6 +217,7 @@ def run_wave(
         lengths += active
         if "hinge_angle" in after.keys():  # noqa: SIM118 - a TensorDict is not a mapping
             angles.append(after["hinge_angle"].masked_fill(~active, torch.nan))
+        if is_door:
             # A copy that is done stands still, so its extremes stay.
             observation = after["observation"]
             distance = torch.linalg.vector_norm(observation[:, PALM_TO_HANDLE], dim=-1)
@@ -229,8 +231,8 @@ def run_wave(
         returns=returns.squeeze(-1).cpu().numpy()[kept],
         lengths=lengths.squeeze(-1).cpu().numpy()[kept],
         hinge_angle=torch.cat(angles, dim=-1).cpu().numpy()[kept] if angles else None,
-        nearest=nearest.cpu().numpy()[kept] if angles else None,
-        widest_latch=widest_latch.cpu().numpy()[kept] if angles else None,
+        nearest=nearest.cpu().numpy()[kept] if is_door else None,
+        widest_latch=widest_latch.cpu().numpy()[kept] if is_door else None,
     )
 
 

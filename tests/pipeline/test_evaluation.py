@@ -226,3 +226,27 @@ def test_only_doors_can_be_placed():
 def test_senseless_values_name_their_keys(changes: dict, message: str):
     with pytest.raises(ValueError, match=message):
         evaluator(**changes)
+
+
+def test_stages_before_the_door_moves_are_those_of_the_episodes(together: Rollouts):
+    """An untrained policy neither comes near the handle in a few steps nor turns the latch."""
+    assert together.nearest is not None
+    assert together.widest_latch is not None
+    assert together.nearest.shape == together.widest_latch.shape == together.returns.shape
+    assert ((together.nearest > 0.1) & (together.nearest < 1.0)).all()
+    assert (abs(together.widest_latch) < 0.1).all()
+    metrics = as_scalars(together.metrics())
+    assert (metrics["share_reached"], metrics["share_latch_turned"]) == (0.0, 0.0)
+
+
+def test_a_wave_s_nearest_distance_is_the_observations_own(policy: nn.Module):
+    env = make_env("door", num_envs=2, seed=0, num_threads=1, horizon=4)
+    start = door_starts(env, 5, 0)
+    wave = run_wave(env, policy, start)
+    td, distances = env.reset(start), []
+    for _ in range(4):
+        td = env.step(policy(td))
+        distances.append(td["next", "observation"][:, 35:38].norm(dim=-1))
+        td = env.step_mdp(td)
+    assert wave.nearest is not None
+    assert wave.nearest == pytest.approx(torch.stack(distances).min(0).values.numpy())
