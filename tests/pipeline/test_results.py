@@ -11,8 +11,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from tensordict import TensorDict
+from typer.testing import CliRunner
 
 from pipeline.build import build_run
+from pipeline.cli import app
 from pipeline.evaluate_run import evaluate_run
 from pipeline.policy import WEIGHTS, load_policy
 from pipeline.results.publish import publish
@@ -155,3 +157,26 @@ def test_the_median_seed_is_published(runs: Path):
     (row,) = (row for row in load_rows(runs) if row.name == "best_of_two")
     best, worst = sorted(row.seeds, key=lambda s: -s.evaluation["return_mean"])
     assert ResultRow("three", (best, worst, worst)).median is worst
+
+
+# ---------------------------------------------------------------------------------- command line
+
+
+def test_results_can_leave_the_policies_out(runs: Path, tmp_path: Path):
+    done = CliRunner().invoke(app, ["results", str(runs), "--out", str(tmp_path), "--no-policies"])
+    assert done.exit_code == 0, done.output
+    assert "best_of_two: 2 seeds" in done.output
+    assert (tmp_path / "table.json").is_file()
+    assert not (tmp_path / "policies").exists()
+
+
+def test_a_run_s_diagnostics_are_plotted(runs: Path, tmp_path: Path):
+    out = tmp_path / "figure.png"
+    done = CliRunner().invoke(app, ["plot", str(runs / "bc" / "seed0"), "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    assert out.stat().st_size > 5000
+
+
+def test_a_run_without_a_curve_cannot_be_plotted(tmp_path: Path):
+    with pytest.raises(RunDirectoryError, match=r"evaluation\.interval > 0"):
+        CliRunner().invoke(app, ["plot", str(tmp_path)], catch_exceptions=False)
