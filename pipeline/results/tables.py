@@ -14,7 +14,8 @@ from pipeline.tables import TABLE_1, TABLE_2, PaperRow, cell, paper_row
 def render_rows(rows: Sequence[ResultRow]) -> str:
     """Both tables in Markdown: interquartile mean [95 % interval] over seeds / the paper's number.
 
-    A cell without a value in some seed (no door opened) shows none.
+    A row with one seed has no interval; a cell without a value in some seed (no door opened) shows
+    none.
     """
     tables = (
         ("Table I: return and largest door angle", TABLE_1),
@@ -40,6 +41,8 @@ def _cell(row: ResultRow, key: str, reference: PaperRow | None) -> str:
     theirs = cell(key, None if reference is None else getattr(reference, key))
     if any(seed.evaluation.get(key) is None for seed in row.seeds):
         return f"- / {theirs}"
+    if len(row.seeds) == 1:  # an interval would pretend that there are others
+        return f"{cell(key, row.figures(key)[0])} / {theirs}"
     estimate: Estimate = interquartile_means({row.name: [[v] for v in row.figures(key)]})[row.name]
     low, high = (cell(key, float(bound[0])) for bound in (estimate.low, estimate.high))
     return f"{cell(key, float(estimate.iqm[0]))} [{low}, {high}] / {theirs}"
