@@ -92,8 +92,8 @@ def _faded_imitation(_best: Row, now: Row) -> str | None:
 
 
 def _widening(best: Row, now: Row) -> str | None:
-    change = _change(best, now, "entropy")
-    if change is None or change <= NATS:
+    change = _rise(best, now, "entropy")
+    if change is None:
         return None
     return (
         f"entropy bonus (the policy's entropy rose by {change:.1f} nats; try "
@@ -102,8 +102,8 @@ def _widening(best: Row, now: Row) -> str | None:
 
 
 def _forgetting(best: Row, now: Row) -> str | None:
-    change = _change(best, now, "bc_nll_train")
-    if change is None or change <= NATS:
+    change = _rise(best, now, "bc_nll_train")
+    if change is None:
         return None
     return (
         f"leaving the demonstrations (their negative log-likelihood rose by {change:.1f} nats; try "
@@ -143,9 +143,12 @@ def _success(row: Row) -> float:
     return _number(row, SUCCESS) or 0.0
 
 
-def _change(best: Row, now: Row, key: str) -> float | None:
+def _rise(best: Row, now: Row, key: str) -> float | None:
+    """By how many nats ``key`` rose since the best row; None for too few to count."""
     before, after = _number(best, key), _number(now, key)
-    return None if before is None or after is None else after - before
+    if before is None or after is None or after - before <= NATS:
+        return None
+    return after - before
 
 
 def _preference(row: Row) -> float | None:
