@@ -41,6 +41,7 @@ def evaluate_run(
             "env": config.env.name,
             "variant": config.variant,
             "preset": config.preset,
+            "precision": config.precision,
             "bc_weight": config.loss.bc_weight.init,
             "seed": config.seed,
             "demos": config.demos.source,

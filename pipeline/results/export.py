@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 from configs.schema import Config
 from pipeline.policy import WEIGHTS, load_policy, save_weights
 from pipeline.results.rows import Seed
-from pipeline.run_dir import CONFIG, write_atomically
+from pipeline.run_dir import CONFIG, load_config, write_atomically
 
 CARD = "README.md"
 SHOWN = {
@@ -21,38 +21,45 @@ SHOWN = {
 }
 
 
-def export_policy(seed: Seed, folder: Path, *, name: str) -> None:
+def exported_seed(folder: Path) -> int | None:
+    """The seed of the policy that ``folder`` holds; None if it holds none."""
+    return int(load_config(folder).seed) if (folder / WEIGHTS).is_file() else None
+
+
+def export_policy(seed: Seed, run_dir: Path, folder: Path, *, name: str) -> None:
     """Writes weights, resolved configuration and card of the newest checkpoint of a run.
 
     Args:
-        seed: The run.
+        seed: What the run reached.
+        run_dir: The run.
         folder: Where to; made if needed.
         name: Of the recipe, for the card.
 
     Raises:
         FileNotFoundError, ValueError: As ``load_policy``.
     """
-    policy, origin = load_policy(seed.config, seed.run_dir)
+    config = load_config(run_dir)
+    policy, origin = load_policy(config, run_dir)
     folder.mkdir(parents=True, exist_ok=True)
     save_weights(policy, folder / WEIGHTS, frames=origin.frames)
     # Of the paths only names stay: others have other folders.
-    config = OmegaConf.merge(
-        seed.config,
+    portable = OmegaConf.merge(
+        config,
         {
             "run_dir": folder.name,
             "resume": None,
             "cache_dir": Config.cache_dir,
-            "demos": {"source": Path(seed.config.demos.source).name},
+            "demos": {"source": Path(config.demos.source).name},
             "torch_threads": None,
             "env": {"num_threads": None},
         },
     )
-    write_atomically(folder / CONFIG, OmegaConf.to_yaml(config, resolve=True))
-    write_atomically(folder / CARD, _card(seed, name, origin.frames))
+    write_atomically(folder / CONFIG, OmegaConf.to_yaml(portable, resolve=True))
+    write_atomically(folder / CARD, _card(seed, config, name, origin.frames))
 
 
-def _card(seed: Seed, name: str, frames: int) -> str:
-    config, evaluation = seed.config, seed.evaluation
+def _card(seed: Seed, config: Config, name: str, frames: int) -> str:
+    evaluation = seed.evaluation
     figures = "\n".join(
         f"| {label} | {evaluation[key]:.4g} |"
         for key, label in SHOWN.items()
@@ -65,7 +72,7 @@ Opens the door of the paper's task: 38 observations in, 28 actions in (-1, 1) ou
 
 | | |
 |---|---|
-| variant, preset, seed | {config.variant}, {config.preset}, {config.seed} (the median of its row by return) |
+| variant, preset, seed | {config.variant}, {config.preset}, {config.seed} |
 | frames | {frames} |
 | demonstrations | {Path(config.demos.source).name}{", multiplied" if config.demos.multiply.enabled else ""} |
 | network | {" x ".join(str(width) for width in config.actor.hidden)} |

@@ -7,14 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.results.export import export_policy
+from pipeline.results.export import export_policy, exported_seed
 from pipeline.results.plots import AXES, plot_curves, plot_diagnostics
-from pipeline.results.rows import ResultRow, load_rows
+from pipeline.results.rows import ROWS, ResultRow, load_published, load_rows, merge_rows
 from pipeline.results.tables import render_rows
 from pipeline.run_dir import write_atomically
 
 TABLE = "table.json"
 TABLES = "tables.md"
+POLICIES = "policies"
 ORDER = (
     "sac", "bc", "bc_sac_0.1", "bc_sac_1", "bc_sac_10", "dbc_sac", "sid_bc", "sid_dbc",
     "ila_bc", "ila_dbc", "da_sac", "best",
@@ -25,6 +26,10 @@ ORDER = (
 def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
     """Writes tables, per-seed files, figures and one policy per row.
 
+    Seeds that ``out`` holds already stay and count, so that five seeds of a row may come from
+    machines and days of which no run directory is left. A row's policy is the one nearest to its
+    median return among those whose weights are at hand: below ``runs``, or published earlier.
+
     Args:
         runs: Holds ``ROW/seedN`` run directories.
         out: Folder, e.g. ``docs/results``.
@@ -34,11 +39,13 @@ def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
         The rows, in the order of the tables.
 
     Raises:
-        RunDirectoryError: If there is nothing to publish or something cannot be read.
+        RunDirectoryError: If there is nothing to publish, something cannot be read, or a row would
+            mix recipes; nothing is written then.
     """
-    rows = sorted(load_rows(runs), key=lambda row: (_place(row.name), row.name))
+    rows = merge_rows(load_published(out), load_rows(runs))
+    rows.sort(key=lambda row: (_place(row.name), row.name))
     for row in rows:
-        folder = out / "rows" / row.name
+        folder = out / ROWS / row.name
         folder.mkdir(parents=True, exist_ok=True)
         for seed in row.seeds:
             write_atomically(folder / f"seed{seed.seed}.json", _compact(seed.published()))
@@ -46,12 +53,22 @@ def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
         if curves:
             plot_diagnostics(f"{row.name}: {len(curves)} seeds", curves, folder / "diagnostics.png")
         if policies:
-            export_policy(row.median, out / "policies" / row.name, name=row.name)
+            _export(row, out / POLICIES / row.name)
     for x in AXES:
         plot_curves(rows, x, out / f"curves_{x}.png")
     write_atomically(out / TABLE, json.dumps(table(rows), indent=1) + "\n")
     write_atomically(out / TABLES, render_rows(rows) + "\n")
     return rows
+
+
+def _export(row: ResultRow, folder: Path) -> None:
+    kept = exported_seed(folder)
+    for seed in row.seeds_by_distance_to_median:
+        if seed.run_dir is not None:
+            return export_policy(seed, seed.run_dir, folder, name=row.name)
+        if seed.seed == kept:
+            return None
+    return None
 
 
 def table(rows: Sequence[ResultRow]) -> dict[str, Any]:

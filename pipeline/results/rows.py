@@ -1,18 +1,30 @@
-"""Runs of one row of the tables, one per seed, as they lie below a folder of runs."""
+"""Runs of one row of the tables, one per seed: run directories, and the files published of them."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from configs.schema import Config
 from pipeline.evaluate_run import load_evaluation
-from pipeline.run_dir import ALARMS, EVALUATION, LEARNING_CURVE, RunDirectoryError, load_config
+from pipeline.run_dir import ALARMS, EVALUATION, LEARNING_CURVE, RunDirectoryError
 
 SEED = "seed"
+ROWS = "rows"
+"""Folder of the published files, ``ROW/seedN.json``."""
+RECIPE = (
+    "variant",
+    "preset",
+    "bc_weight",
+    "frames",
+    "demos",
+    "demos_multiplied",
+    "evaluation_seed",
+    "exploration",
+)
+"""What the seeds of one row have in common."""
 DIGITS = 6
 """Significant digits of published curves."""
 
@@ -21,22 +33,22 @@ DIGITS = 6
 class Seed:
     """One evaluated run."""
 
-    run_dir: Path
-    config: Config
     evaluation: Mapping[str, Any]
     curve: tuple[Mapping[str, Any], ...]
     """Rows of the learning curve; empty for a run without a curve."""
     alarms: tuple[Mapping[str, Any], ...]
+    run_dir: Path | None = None
+    """None where only the published file is left of the run."""
 
     @property
     def seed(self) -> int:
         """Of the run."""
-        return int(self.config.seed)
+        return int(self.evaluation["made_from"]["seed"])
 
     def published(self) -> dict[str, Any]:
         """Everything that a reader of the results can check, without paths of this machine."""
         made_from = {**self.evaluation["made_from"]}
-        made_from["run"] = self.run_dir.name
+        made_from["run"] = Path(made_from["run"]).name
         made_from["demos"] = Path(made_from["demos"]).name
         columns = {key: None for row in self.curve for key in row}
         return {
@@ -59,10 +71,12 @@ class ResultRow:
         return [float(seed.evaluation[key]) for seed in self.seeds]
 
     @property
-    def median(self) -> Seed:
-        """The seed in the middle by return: what a user of the recipe may expect."""
+    def seeds_by_distance_to_median(self) -> list[Seed]:
+        """First the seed in the middle by return: what a user of the recipe may expect."""
         ordered = sorted(self.seeds, key=lambda seed: float(seed.evaluation["return_mean"]))
-        return ordered[len(ordered) // 2]
+        middle = len(ordered) // 2
+        places = sorted(range(len(ordered)), key=lambda place: abs(place - middle))
+        return [ordered[place] for place in places]
 
 
 def load_rows(folder: Path) -> list[ResultRow]:
@@ -91,12 +105,66 @@ def load_seed(run_dir: Path) -> Seed:
         RunDirectoryError: If it has no evaluation or configuration.
     """
     return Seed(
-        run_dir,
-        load_config(run_dir),
         load_evaluation(run_dir),
         tuple(read_lines(run_dir / LEARNING_CURVE)),
         tuple(read_lines(run_dir / ALARMS)),
+        run_dir,
     )
+
+
+def load_published(folder: Path) -> list[ResultRow]:
+    """Reads what :func:`~pipeline.results.publish.publish` wrote to ``folder``; it may be nothing.
+
+    Raises:
+        RunDirectoryError: If a file is damaged.
+    """
+    rows: dict[str, list[Seed]] = {}
+    for path in sorted((folder / ROWS).glob(f"*/{SEED}*.json")):
+        content = load_evaluation(path)
+        try:
+            curve, alarms = content.pop("curve"), content.pop("alarms")
+            points = zip(*curve.values(), strict=True)
+            seed = Seed(
+                content, tuple(dict(zip(curve, p, strict=True)) for p in points), tuple(alarms)
+            )
+            rows.setdefault(path.parent.name, []).append(seed)
+        except (KeyError, AttributeError, TypeError, ValueError) as error:
+            raise RunDirectoryError(
+                f"{path} is not a published run ({error}); restore or remove it"
+            ) from error
+    return [
+        ResultRow(name, tuple(sorted(seeds, key=lambda s: s.seed))) for name, seeds in rows.items()
+    ]
+
+
+def merge_rows(earlier: Sequence[ResultRow], later: Sequence[ResultRow]) -> list[ResultRow]:
+    """All seeds of both; where both have a seed of a row, the later one counts.
+
+    Raises:
+        RunDirectoryError: If seeds of one row were made with different recipes.
+    """
+    rows: dict[str, dict[int, Seed]] = {}
+    for row in (*earlier, *later):
+        rows.setdefault(row.name, {}).update({seed.seed: seed for seed in row.seeds})
+    merged = [
+        ResultRow(name, tuple(seeds[number] for number in sorted(seeds)))
+        for name, seeds in rows.items()
+    ]
+    for row in merged:
+        _require_one_recipe(row)
+    return merged
+
+
+def _require_one_recipe(row: ResultRow) -> None:
+    first, *others = (seed.published()["made_from"] for seed in row.seeds)
+    for other in others:
+        for key in RECIPE:
+            if other.get(key) != first.get(key):
+                raise RunDirectoryError(
+                    f"row {row.name}: seed {first['seed']} has {key} {first.get(key)!r}, "
+                    f"seed {other['seed']} has {other.get(key)!r}; publish to another folder "
+                    f"(OUT=...), or remove {ROWS}/{row.name} from this one"
+                )
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:

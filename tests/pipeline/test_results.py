@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,9 @@ from pipeline.build import build_run
 from pipeline.cli import app
 from pipeline.evaluate_run import evaluate_run
 from pipeline.policy import WEIGHTS, load_policy
+from pipeline.results.export import exported_seed
 from pipeline.results.publish import publish
-from pipeline.results.rows import ResultRow, load_rows
+from pipeline.results.rows import ResultRow, Seed, load_published, load_rows, merge_rows
 from pipeline.results.statistics import interquartile_means, on_grid
 from pipeline.run_dir import EVALUATION, RunDirectoryError, load_config
 from tests.pipeline.toys import tiny_config
@@ -156,10 +158,83 @@ def test_published_weights_of_another_size_are_refused(published: Path):
         load_policy(config, folder)
 
 
-def test_the_median_seed_is_published(runs: Path):
-    (row,) = (row for row in load_rows(runs) if row.name == "best_of_two")
-    best, worst = sorted(row.seeds, key=lambda s: -s.evaluation["return_mean"])
-    assert ResultRow("three", (best, worst, worst)).median is worst
+def test_the_seed_in_the_middle_by_return_comes_first():
+    row = ResultRow("five", tuple(seed_with(n, r) for n, r in enumerate((50, 10, 40, 20, 30))))
+    assert row.seeds_by_distance_to_median[0].evaluation["return_mean"] == 30
+    nearest = {seed.evaluation["return_mean"] for seed in row.seeds_by_distance_to_median[:3]}
+    assert nearest == {20, 30, 40}
+
+
+# ---------------------------------------------------------------------- seeds of several sessions
+
+
+def seed_with(number: int, value: float, **made_from: object) -> Seed:
+    origin = {"seed": number, "run": f"seed{number}", "demos": "d.h5", **made_from}
+    return Seed({"return_mean": value, "made_from": origin}, (), ())
+
+
+@pytest.fixture
+def in_two_goes(runs: Path, tmp_path: Path) -> tuple[Path, Path]:
+    """The runs of one row in two folders, as two machines would have them."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    for folder, seed in ((first, "seed0"), (second, "seed1")):
+        shutil.copytree(runs / "best_of_two" / seed, folder / "two" / seed)
+    return first, second
+
+
+def test_publishing_in_two_goes_is_publishing_at_once(
+    runs: Path, in_two_goes: tuple[Path, Path], tmp_path: Path
+):
+    both, out = tmp_path / "both", tmp_path / "out"
+    shutil.copytree(runs / "best_of_two", both / "two")
+    publish(both, tmp_path / "at_once", policies=False)
+    for folder in in_two_goes:
+        publish(folder, out)
+        shutil.rmtree(folder)  # as a machine that is given back
+    for name in ("table.json", "tables.md", "rows/two/seed0.json", "rows/two/seed1.json"):
+        assert (out / name).read_text() == (tmp_path / "at_once" / name).read_text(), name
+
+
+def test_a_seed_that_is_run_again_replaces_its_published_one(
+    in_two_goes: tuple[Path, Path], tmp_path: Path
+):
+    first, _ = in_two_goes
+    publish(first, tmp_path / "out", policies=False)
+    path = first / "two" / "seed0" / EVALUATION
+    path.write_text(json.dumps({**json.loads(path.read_text()), "return_mean": 123.0}))
+    (row,) = publish(first, tmp_path / "out", policies=False)
+    assert row.figures("return_mean") == [123.0]
+
+
+def test_the_published_policy_nearest_to_the_median_stays(
+    in_two_goes: tuple[Path, Path], tmp_path: Path
+):
+    first, second = in_two_goes
+    for folder, value in ((first, 10.0), (second, 0.0)):
+        (path,) = folder.glob(f"two/*/{EVALUATION}")
+        path.write_text(json.dumps({**json.loads(path.read_text()), "return_mean": value}))
+    publish(first, tmp_path / "out")
+    shutil.rmtree(first)
+    publish(second, tmp_path / "out")  # of 0 and 10, the upper one is the middle
+    assert exported_seed(tmp_path / "out" / "policies" / "two") == 0
+    path.write_text(json.dumps({**json.loads(path.read_text()), "return_mean": 20.0}))
+    publish(second, tmp_path / "out")
+    assert exported_seed(tmp_path / "out" / "policies" / "two") == 1
+
+
+def test_a_row_of_two_recipes_is_refused():
+    earlier = ResultRow("row", (seed_with(0, 1.0, preset="table"),))
+    later = ResultRow("row", (seed_with(1, 1.0, preset="paper"),))
+    with pytest.raises(RunDirectoryError, match="row row: seed 0 has preset 'table', seed 1 has"):
+        merge_rows([earlier], [later])
+
+
+def test_a_damaged_published_file_is_named(in_two_goes: tuple[Path, Path], tmp_path: Path):
+    publish(in_two_goes[0], tmp_path / "out", policies=False)
+    path = tmp_path / "out" / "rows" / "two" / "seed0.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "curve": {"a": [1], "b": []}}))
+    with pytest.raises(RunDirectoryError, match=r"seed0\.json is not a published run"):
+        load_published(tmp_path / "out")
 
 
 # ---------------------------------------------------------------------------------- command line
