@@ -124,12 +124,26 @@ def _stall(best: Row, now: Row) -> str | None:
     )
 
 
+def _letting_go(best: Row, now: Row) -> str | None:
+    before, after = _half_open(best), _half_open(now)
+    if before is None or after is None:
+        return None
+    lost = _success(best) - _success(now)
+    if after - before < FALL * lost:
+        return None
+    return (
+        f"letting go of the door (of the {lost:.0%} lost, {after - before:.0%} move beyond 0.2 rad "
+        "and stop before 1.35; try demonstrations that open it wider: demos.multiply.min_angle)"
+    )
+
+
 CAUSES: tuple[Callable[[Row, Row], str | None], ...] = (
     _overestimation,
     _widening,
     _faded_imitation,
     _forgetting,
     _stall,
+    _letting_go,
 )
 """Each takes the best row and the present one, and says what it sees or None."""
 
@@ -141,6 +155,12 @@ def _number(row: Row, key: str) -> float | None:
 
 def _success(row: Row) -> float:
     return _number(row, SUCCESS) or 0.0
+
+
+def _half_open(row: Row) -> float | None:
+    """Share of doors that move and do not open."""
+    moved = _number(row, "share_gt_0_2")
+    return None if moved is None else moved - _success(row)
 
 
 def _rise(best: Row, now: Row, key: str) -> float | None:
