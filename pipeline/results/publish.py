@@ -42,9 +42,11 @@ def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
         RunDirectoryError: If there is nothing to publish, something cannot be read, or a row would
             mix recipes; nothing is written then.
     """
-    rows = merge_rows(load_published(out), load_rows(runs))
+    new = load_rows(runs)
+    rows = merge_rows(load_published(out), new)
     rows.sort(key=lambda row: (_place(row.name), row.name))
-    for row in rows:
+    changed = {row.name for row in new}
+    for row in (row for row in rows if row.name in changed):
         folder = out / ROWS / row.name
         folder.mkdir(parents=True, exist_ok=True)
         for seed in row.seeds:

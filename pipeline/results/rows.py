@@ -141,7 +141,7 @@ def merge_rows(earlier: Sequence[ResultRow], later: Sequence[ResultRow]) -> list
     """All seeds of both; where both have a seed of a row, the later one counts.
 
     Raises:
-        RunDirectoryError: If seeds of one row were made with different recipes.
+        RunDirectoryError: If a row that gains seeds would hold those of different recipes.
     """
     rows: dict[str, dict[int, Seed]] = {}
     for row in (*earlier, *later):
@@ -150,8 +150,10 @@ def merge_rows(earlier: Sequence[ResultRow], later: Sequence[ResultRow]) -> list
         ResultRow(name, tuple(seeds[number] for number in sorted(seeds)))
         for name, seeds in rows.items()
     ]
+    added = {row.name for row in later}
     for row in merged:
-        _require_one_recipe(row)
+        if row.name in added:
+            _require_one_recipe(row)
     return merged
 
 

@@ -229,6 +229,12 @@ def test_a_row_of_two_recipes_is_refused():
         merge_rows([earlier], [later])
 
 
+def test_rows_that_gain_nothing_are_not_judged(in_two_goes: tuple[Path, Path], tmp_path: Path):
+    earlier = ResultRow("old", (seed_with(0, 1.0, preset="a"), seed_with(1, 1.0, preset="b")))
+    (old, _) = merge_rows([earlier], load_rows(in_two_goes[0]))
+    assert old == earlier
+
+
 def test_a_damaged_published_file_is_named(in_two_goes: tuple[Path, Path], tmp_path: Path):
     publish(in_two_goes[0], tmp_path / "out", policies=False)
     path = tmp_path / "out" / "rows" / "two" / "seed0.json"
