@@ -102,7 +102,7 @@ def load_seed(run_dir: Path) -> Seed:
     """Reads one evaluated run.
 
     Raises:
-        RunDirectoryError: If it has no evaluation or configuration.
+        RunDirectoryError: If it has no evaluation.
     """
     return Seed(
         load_evaluation(run_dir),
