@@ -59,6 +59,11 @@ def multiply(
     kept: list[Episode] = []
     tally = _Tally.empty(len(episodes), config)
     attempts = 0
+    tenths = 0
+    _logger.info(
+        "multiplying %d demonstrations to %d episodes: takes minutes, once for all runs of a cache",
+        len(episodes), config.target_episodes,
+    )  # fmt: skip
     with DoorSimulator(config.round_size, num_threads=num_threads) as simulator:
         factory = AttemptFactory.prepare(episodes, config, simulator.scene)
         while len(kept) < config.target_episodes and attempts < config.max_attempts:
@@ -72,6 +77,14 @@ def multiply(
                 tally.record(attempt.source, tried=True, kept=success and wanted)
                 if observations is not None and wanted:
                     kept.append(_episode(episodes[attempt.source], attempt, observations))
+            if 10 * len(kept) // config.target_episodes > tenths:
+                tenths = 10 * len(kept) // config.target_episodes
+                _logger.info(
+                    "%d of %d episodes after %d attempts",
+                    len(kept),
+                    config.target_episodes,
+                    attempts,
+                )
     if not kept:
         raise DemonstrationError(
             "multiplication",
@@ -80,7 +93,8 @@ def multiply(
         )
     if len(kept) < config.target_episodes:
         _logger.warning(
-            "kept %d of %d multiplied episodes in %d attempts; raise max_attempts for more",
+            "kept %d of %d multiplied episodes in %d attempts; "
+            "for more, raise max_attempts or lower min_angle",
             len(kept), config.target_episodes, attempts,
         )  # fmt: skip
     return kept

@@ -22,7 +22,8 @@ class MultiplyConfig:
         noise_scale: largest standard deviation of the executed noise, in half-ranges of the joints;
             each attempt draws its own uniformly from [0, noise_scale].
         noise_correlation: of the noise between consecutive steps, in [0, 1).
-        min_angle: keep episodes whose hinge passes this angle (rad) within the horizon.
+        min_angle: keep episodes whose hinge passes this angle (rad) within the horizon. Beyond
+            1.35, success, it leaves the policies that copy them a margin.
         balance: no source gives more than ``balance`` times its even share of the target.
         horizon: length of every episode in steps.
         round_size: attempts simulated together. Part of the result: the choice of sources adapts
@@ -56,6 +57,7 @@ class MultiplyConfig:
             "position_scale_m": self.position_scale_m > 0,
             "noise_scale": self.noise_scale >= 0,
             "noise_correlation": 0 <= self.noise_correlation < 1,
+            "min_angle": self.min_angle < task.FULLY_OPEN,
             "balance": self.balance >= 1,
             "horizon": self.horizon >= 1,
             "round_size": self.round_size >= 1,

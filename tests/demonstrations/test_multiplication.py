@@ -167,6 +167,16 @@ def test_running_out_of_attempts_is_said(sources, caplog: pytest.LogCaptureFixtu
     assert "kept 5 of 12 multiplied episodes in 5 attempts" in caplog.text
 
 
+def test_long_work_says_how_far_it_is(sources, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO):
+        multiply(sources, config(round_size=5))
+    assert [r.message for r in caplog.records if "attempts" in r.message] == [
+        "5 of 12 episodes after 5 attempts",
+        "10 of 12 episodes after 10 attempts",
+        "12 of 12 episodes after 13 attempts",
+    ]
+
+
 def test_the_cache_returns_the_same_episodes(
     sources, kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -220,6 +230,7 @@ def test_needs_episodes() -> None:
         ("position_scale_m", 0.0),
         ("noise_scale", -0.1),
         ("noise_correlation", 1.0),
+        ("min_angle", 1.57),
         ("balance", 0.9),
         ("horizon", 0),
         ("round_size", 0),
