@@ -61,7 +61,7 @@ def multiply(
     attempts = 0
     tenths = 0
     _logger.info(
-        "multiplying %d demonstrations to %d episodes: takes minutes, once for all runs of a cache",
+        "multiplying %d demonstrations to %d episodes, which can take minutes",
         len(episodes), config.target_episodes,
     )  # fmt: skip
     with DoorSimulator(config.round_size, num_threads=num_threads) as simulator:
