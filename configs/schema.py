@@ -48,6 +48,7 @@ class DemosConfig:
     limit: int | None = None  # use only the first N demonstrations
     held_out: int = 0  # episodes, after multiplication, that only diagnostics see
     multiply: MultiplyConfig = field(default_factory=MultiplyConfig)
+    keep_best: float = 1.0  # share of the episodes, after multiplication: those of highest return
 
 
 @dataclass

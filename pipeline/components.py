@@ -74,6 +74,7 @@ def make_demonstrations(
         num_threads=num_threads,
         cache_dir=cache_dir,
         limit=demos.limit,
+        keep_best=demos.keep_best,
     )
     count = len(loaded.episodes) - demos.held_out
     if demos.held_out < 0 or count < 1:

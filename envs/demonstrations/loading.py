@@ -11,6 +11,7 @@ from envs.demonstrations.multiplication import multiply_cached
 from envs.demonstrations.multiply_config import MultiplyConfig
 from envs.demonstrations.report import EpisodeReport, report_episode
 from envs.demonstrations.resimulation import resimulate as resimulate_episodes
+from envs.demonstrations.selection import highest_returns
 from envs.demonstrations.sources import open_source
 from envs.door import task
 
@@ -20,7 +21,7 @@ class DemonstrationSet:
     """Demonstrations ready for training.
 
     Attributes:
-        episodes: re-simulated (or relabelled) and perhaps multiplied episodes.
+        episodes: re-simulated (or relabelled), perhaps multiplied, and selected episodes.
         source: name of the source.
         content_hash: SHA-256 over ``episodes``, to record with a run.
         reports: one row per episode *of the source*, in its order.
@@ -45,8 +46,9 @@ def load_demonstrations(
     num_threads: int | None = None,
     cache_dir: str | Path | None = None,
     limit: int | None = None,
+    keep_best: float = 1.0,
 ) -> DemonstrationSet:
-    """Open, validate, re-simulate and perhaps multiply demonstrations.
+    """Open, validate, re-simulate, perhaps multiply, and select demonstrations.
 
     Args:
         spec: see `envs.demonstrations.sources.open_source`.
@@ -56,10 +58,11 @@ def load_demonstrations(
         num_threads: threads of the simulator, default all cores. No effect on the result.
         cache_dir: where multiplied episodes are kept between runs; None makes them every time.
         limit: use the first so many episodes of the source only.
+        keep_best: share of the episodes, after multiplication, to keep: those of highest return.
 
     Raises:
         DemonstrationError: anything is wrong with the source, or multiplication keeps nothing.
-        ValueError: ``limit`` is below 1.
+        ValueError: ``limit`` is below 1, or ``keep_best`` is not in (0, 1].
     """
     if limit is not None and limit < 1:
         raise ValueError(f"limit must be at least 1, got {limit}")
@@ -73,4 +76,5 @@ def load_demonstrations(
     reports = tuple(report_episode(r, u) for r, u in zip(recorded, used, strict=True))
     if multiply is not None:
         used = multiply_cached(used, multiply, num_threads=num_threads, cache_dir=cache_dir)
+    used = highest_returns(used, keep_best)
     return DemonstrationSet(tuple(used), source.name, content_hash(used), reports)
