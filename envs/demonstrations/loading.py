@@ -11,7 +11,7 @@ from envs.demonstrations.multiplication import multiply_cached
 from envs.demonstrations.multiply_config import MultiplyConfig
 from envs.demonstrations.report import EpisodeReport, report_episode
 from envs.demonstrations.resimulation import resimulate as resimulate_episodes
-from envs.demonstrations.selection import highest_returns
+from envs.demonstrations.selection import highest_returns, require_share
 from envs.demonstrations.sources import open_source
 from envs.door import task
 
@@ -66,6 +66,7 @@ def load_demonstrations(
     """
     if limit is not None and limit < 1:
         raise ValueError(f"limit must be at least 1, got {limit}")
+    require_share(keep_best)  # now, not after minutes of multiplication
     source = open_source(spec)
     recorded = source.load()[:limit]
     if resimulate:

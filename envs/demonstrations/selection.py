@@ -10,6 +10,12 @@ import numpy as np
 from envs.demonstrations.episode import Episode
 
 
+def require_share(share: float) -> None:
+    """Raise ``ValueError`` unless ``share`` is in (0, 1]."""
+    if not 0.0 < share <= 1.0:
+        raise ValueError(f"demos.keep_best is a share of the episodes, in (0, 1], got {share}")
+
+
 def highest_returns(episodes: Sequence[Episode], share: float) -> list[Episode]:
     """Keep the episodes of highest return, in the order in which they came.
 
@@ -25,8 +31,7 @@ def highest_returns(episodes: Sequence[Episode], share: float) -> list[Episode]:
     Raises:
         ValueError: ``share`` is out of its range.
     """
-    if not 0.0 < share <= 1.0:
-        raise ValueError(f"demos.keep_best is a share of the episodes, in (0, 1], got {share}")
+    require_share(share)
     returns = np.array([episode.rewards.sum() for episode in episodes])
     best = np.argsort(-returns, kind="stable")[: math.ceil(share * len(episodes))]
     return [episodes[i] for i in sorted(best)]

@@ -58,6 +58,11 @@ def test_a_share_out_of_range(share: float) -> None:
         highest_returns(episodes_with([1.0]), share)
 
 
+def test_a_bad_share_is_refused_before_anything_is_read() -> None:
+    with pytest.raises(ValueError, match=r"demos\.keep_best"):
+        load_demonstrations("no-such-file.h5", keep_best=2.0)
+
+
 def test_loading_selects() -> None:
     loaded = load_demonstrations("bundled")
     half = load_demonstrations("bundled", keep_best=0.5)
