@@ -105,6 +105,7 @@ def make_training_env(config: Config) -> EnvBase:
         device=config.device,
         num_threads=config.env.num_threads,
         horizon=config.env.horizon,
+        retry_failed=config.env.retry_failed,
     )
 
 
