@@ -61,7 +61,6 @@ class DoorEnv(EnvBase):
     ) -> None:
         if horizon < 1:
             raise ValueError(f"horizon must be at least 1 step, got {horizon}")
-        FailedDoors(retry_failed)  # refuses a bad number before the simulator starts threads
         simulator = DoorSimulator(num_doors, num_threads)
         super().__init__(device=device, batch_size=[num_doors])
         self.horizon = horizon
