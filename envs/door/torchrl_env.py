@@ -46,7 +46,8 @@ class DoorEnv(EnvBase):
         device: Where the tensors live. The physics itself runs on the CPU.
 
     Raises:
-        ValueError: If a count is below 1, `retry_failed` is negative or the seed is outside [0, 2**63).
+        ValueError: If a count is below 1, `retry_failed` is negative or the seed is outside
+            [0, 2**63).
     """
 
     def __init__(
