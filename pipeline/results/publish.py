@@ -10,11 +10,13 @@ from typing import Any
 from pipeline.results.export import export_policy, exported_seed
 from pipeline.results.plots import AXES, plot_curves, plot_diagnostics
 from pipeline.results.rows import ROWS, ResultRow, load_published, load_rows, merge_rows
-from pipeline.results.tables import render_rows
+from pipeline.results.tables import render_rows, render_summary
 from pipeline.run_dir import write_atomically
 
 TABLE = "table.json"
 TABLES = "tables.md"
+SUMMARY = "summary.md"
+"""The short table that the README shows."""
 POLICIES = "policies"
 ORDER = (
     "sac", "bc", "bc_sac_0.1", "bc_sac_1", "bc_sac_10", "dbc_sac", "sid_bc", "sid_dbc",
@@ -60,6 +62,7 @@ def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
         plot_curves(rows, x, out / f"curves_{x}.png")
     write_atomically(out / TABLE, json.dumps(table(rows), indent=1) + "\n")
     write_atomically(out / TABLES, render_rows(rows) + "\n")
+    write_atomically(out / SUMMARY, render_summary(rows) + "\n")
     return rows
 
 

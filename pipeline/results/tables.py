@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from statistics import fmean
 
 from tabulate import tabulate
 
 from pipeline.results.rows import ResultRow
 from pipeline.results.statistics import Estimate, interquartile_means
-from pipeline.tables import TABLE_1, TABLE_2, PaperRow, cell, paper_row
+from pipeline.tables import TABLE_1, TABLE_2, cell, paper_row
 
 
 def render_rows(rows: Sequence[ResultRow]) -> str:
@@ -27,18 +28,43 @@ def render_rows(rows: Sequence[ResultRow]) -> str:
     )
 
 
+def render_summary(rows: Sequence[ResultRow]) -> str:
+    """Table II and the return in Markdown: mean over seeds / the paper's number, where it has one.
+
+    The README shows it; means, because a seed that fails must show.
+    """
+    columns = {"return": TABLE_1["return"], **TABLE_2}
+    lines = [
+        [
+            f"`{row.name}`",
+            len(row.seeds),
+            *(
+                cell(key, fmean(row.figures(key))) + (f" / {theirs}" if theirs != "-" else "")
+                for key in columns.values()
+                for theirs in [_theirs(row, key)]
+            ),
+        ]
+        for row in rows
+    ]
+    return tabulate(lines, headers=["row", "seeds", *columns], tablefmt="github")
+
+
+def _theirs(row: ResultRow, key: str) -> str:
+    made_from = row.seeds[0].evaluation["made_from"]
+    reference = paper_row(made_from["variant"], made_from.get("bc_weight"))
+    return cell(key, None if reference is None else getattr(reference, key))
+
+
 def _table(rows: Sequence[ResultRow], columns: Mapping[str, str]) -> str:
     lines = []
     for row in rows:
-        made_from = row.seeds[0].evaluation["made_from"]
-        reference = paper_row(made_from["variant"], made_from.get("bc_weight"))
-        cells = [_cell(row, key, reference) for key in columns.values()]
+        cells = [_cell(row, key) for key in columns.values()]
         lines.append([row.name, len(row.seeds), *cells])
     return tabulate(lines, headers=["row", "seeds", *columns], tablefmt="github")
 
 
-def _cell(row: ResultRow, key: str, reference: PaperRow | None) -> str:
-    theirs = cell(key, None if reference is None else getattr(reference, key))
+def _cell(row: ResultRow, key: str) -> str:
+    theirs = _theirs(row, key)
     if any(seed.evaluation.get(key) is None for seed in row.seeds):
         return f"- / {theirs}"
     if len(row.seeds) == 1:  # an interval would pretend that there are others

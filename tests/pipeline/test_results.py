@@ -22,6 +22,7 @@ from pipeline.results.export import exported_seed
 from pipeline.results.publish import publish
 from pipeline.results.rows import ResultRow, Seed, load_published, load_rows, merge_rows
 from pipeline.results.statistics import interquartile_means, on_grid
+from pipeline.results.tables import render_summary
 from pipeline.run_dir import EVALUATION, RunDirectoryError, load_config
 from tests.pipeline.toys import tiny_config
 
@@ -138,6 +139,33 @@ def test_the_tables_have_a_line_for_each_row(published: Path):
     assert two.endswith("| 0.0 % [0.0 %, 0.0 %] / 94.8 % |")
 
 
+def test_the_summary_is_the_mean_over_seeds_beside_the_paper_s_number():
+    shares = dict.fromkeys(("share_gt_0", "share_gt_0_2", "share_gt_1_0"), 1.0)
+    rows = [
+        ResultRow(
+            name,
+            tuple(
+                Seed(
+                    {
+                        "return_mean": value,
+                        "share_gt_1_35": share,
+                        **shares,
+                        "made_from": {"seed": seed, "variant": variant},
+                    },
+                    (),
+                    (),
+                )
+                for seed, (value, share) in enumerate(((1.0, 1.0), (2.0, 0.97), (9.0, 0.4)))
+            ),
+        )
+        for name, variant in (("dbc_sac", "dbc_sac"), ("ours", "best"))
+    ]
+    theirs, ours = (line.split("|")[1:-1] for line in render_summary(rows).splitlines()[2:])
+    assert [cell.strip() for cell in theirs[:3]] == ["`dbc_sac`", "3", "4.0 / 966.7"]
+    assert theirs[-1].strip() == "79.0 % / 94.8 %"
+    assert [ours[2].strip(), ours[-1].strip()] == ["4.0", "79.0 %"]
+
+
 def test_a_published_policy_acts_like_its_run(runs: Path, published: Path):
     folder = published / "policies" / "bc"
     ours, origin = load_policy(load_config(folder), folder)
@@ -191,7 +219,13 @@ def test_publishing_in_two_goes_is_publishing_at_once(
     for folder in in_two_goes:
         publish(folder, out)
         shutil.rmtree(folder)  # as a machine that is given back
-    for name in ("table.json", "tables.md", "rows/two/seed0.json", "rows/two/seed1.json"):
+    for name in (
+        "table.json",
+        "tables.md",
+        "summary.md",
+        "rows/two/seed0.json",
+        "rows/two/seed1.json",
+    ):
         assert (out / name).read_text() == (tmp_path / "at_once" / name).read_text(), name
 
 
