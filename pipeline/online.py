@@ -29,7 +29,7 @@ from pipeline.time_use import TimeUse
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer
 
 ROW_LIMIT = 1_000_000
-"""The main buffer holds the whole run up to this many frames."""
+"""The main buffer holds the whole run up to this many frames, unless ``sampler.capacity`` is set."""
 
 
 def build_online(
@@ -48,7 +48,7 @@ def build_online(
         actor.load_state_dict(behaviour_cloned(config, demos, time_use).state_dict())
 
     to_rows = components.make_rows(config.loss)
-    main = make_buffer(min(config.collector.total_frames, ROW_LIMIT), device)
+    main = make_buffer(_capacity(config), device)
     grown, distribution = _demonstration_distribution(config, demos, to_rows, time_use)
     rows = config.sampler.batch_size
     mixture = Mixture(
@@ -151,6 +151,18 @@ def _demonstration_distribution(
             device=config.device,
         )
     return grown, DemonstrationDistribution(core, grown)
+
+
+def _capacity(config: Config) -> int:
+    capacity = config.sampler.capacity
+    if capacity is None:
+        return min(config.collector.total_frames, ROW_LIMIT)
+    if capacity < config.collector.frames_per_batch:
+        raise ValueError(
+            f"sampler.capacity ({capacity}) must hold at least one collected batch: "
+            f"collector.frames_per_batch is {config.collector.frames_per_batch}."
+        )
+    return capacity
 
 
 def _admission(config: Config) -> AdmissionRule:
