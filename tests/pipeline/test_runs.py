@@ -251,6 +251,7 @@ def test_writing_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         ("sac", "optim.target_period=0", r"optim\.target_period must be at least 1"),
         ("sid_bc", "growth.admission.min_return=null", r"growth\.admission admits every episode"),
         ("sac", "sampler.batch_size=0", "A batch needs rows"),
+        ("sac", "sampler.capacity=19", r"sampler\.capacity \(19\) must hold .* batch: .* is 20"),
     ],
 )
 def test_values_that_make_no_sense_are_named(
@@ -299,6 +300,21 @@ def test_a_run_composed_without_hydra(tmp_path: Path, demos: Path):
     assert run.trainer.loss_module.current_bc_weight == 0.5
     assert part(run, "optimization_stepper").critic_updates == 10
     assert not (run.run_dir / LEARNING_CURVE).exists()
+
+
+@pytest.mark.parametrize(("capacity", "kept"), [(None, 40), (25, 25), (60, 40)])
+def test_the_main_buffer_holds_the_last_frames(
+    capacity: int | None, kept: int, tmp_path: Path, demos: Path
+):
+    config = tiny_config("sac", tmp_path, demos, f"sampler.capacity={capacity or 'null'}")
+    run, seen = build_run(config), []
+    run.trainer.register_op("batch_process", lambda batch: seen.append(batch.clone()) or batch)
+    run.train()
+    held = part(run, "main_buffer")[:]["observation"]
+    # Two batches of ten episodes' steps, one after another; the ring overwrites its beginning.
+    rows = torch.cat([batch["observation"].flatten(0, 1) for batch in seen])
+    assert len(held) == kept
+    assert {tuple(row) for row in held.tolist()} == {tuple(row) for row in rows[-kept:].tolist()}
 
 
 def test_a_weight_without_a_duration_moves_over_the_whole_run(tmp_path: Path, demos: Path):
