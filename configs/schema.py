@@ -23,7 +23,6 @@ class EnvConfig:
     num_envs: int = 1  # copies stepped in one batch
     num_threads: int | None = None  # physics threads; null = one per core
     horizon: int | None = None  # control steps per episode; null = the task's own (door: 200)
-    retry_failed: int = 0  # door: further training episodes for each one that did not open it
 
 
 @dataclass

@@ -45,7 +45,6 @@ def make_env(
     device: torch.device | str = "cpu",
     num_threads: int | None = None,
     horizon: int | None = None,
-    retry_failed: int = 0,
 ) -> EnvBase:
     """Build an environment that SAC can be pointed at.
 
@@ -61,7 +60,6 @@ def make_env(
         num_threads: Threads that step the door; the others are stepped one after another.
         horizon: Steps until truncation. Default: the task's own limit, which `horizon` can shorten
             but, for gymnasium and dm_control, not extend.
-        retry_failed: Further episodes on a door for each one that did not open it; the door only.
 
     Raises:
         UnknownEnvironmentError: If the name has another form or the library does not know it.
@@ -73,16 +71,7 @@ def make_env(
         raise ValueError(f"horizon must be at least 1 step (or None), got {horizon}")
     if name == "door":
         steps = task.HORIZON if horizon is None else horizon
-        return DoorEnv(
-            num_envs,
-            horizon=steps,
-            num_threads=num_threads,
-            seed=seed,
-            retry_failed=retry_failed,
-            device=device,
-        )
-    if retry_failed:
-        raise ValueError(f"retry_failed={retry_failed} is for the door, not for {name!r}: use 0")
+        return DoorEnv(num_envs, horizon=steps, num_threads=num_threads, seed=seed, device=device)
     library, separator, wanted = name.partition(":")
     if not separator or library not in _LIBRARIES:
         raise UnknownEnvironmentError(f"unknown environment {name!r}; valid: {VALID_NAMES}")

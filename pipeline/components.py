@@ -105,7 +105,6 @@ def make_training_env(config: Config) -> EnvBase:
         device=config.device,
         num_threads=config.env.num_threads,
         horizon=config.env.horizon,
-        retry_failed=config.env.retry_failed,
     )
 
 

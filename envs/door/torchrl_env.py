@@ -12,7 +12,6 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from envs.door import task
-from envs.door.retries import FailedDoors
 from envs.door.simulator import DoorSimulator
 from envs.door.starts import door_position
 
@@ -30,8 +29,7 @@ class DoorEnv(EnvBase):
     when the hand leaves the door (`envs.door.task.terminated`).
 
     A tensordict with ``door_position`` [N, 3] (m) given to `reset` places the doors for that reset;
-    without it, and at automatic resets, positions are drawn per door from `envs.door.starts`. With
-    `retry_failed`, every second episode of a door starts where an earlier one failed, if one did.
+    without it, and at automatic resets, positions are drawn per door from `envs.door.starts`.
     Doors that `_reset` or `_step` leave out stay as they are.
 
     `get_extra_state` / `set_extra_state` (so `state_dict` / `load_state_dict`) hold tensors only
@@ -42,12 +40,10 @@ class DoorEnv(EnvBase):
         horizon: Steps until truncation.
         num_threads: Threads of the simulator. Default: one per core, at most N.
         seed: Seed of the door positions. Default: fresh entropy, not reproducible.
-        retry_failed: Further episodes on a door for each episode that did not open it.
         device: Where the tensors live. The physics itself runs on the CPU.
 
     Raises:
-        ValueError: If a count is below 1, `retry_failed` is negative or the seed is outside
-            [0, 2**63).
+        ValueError: If a count is below 1 or the seed is outside [0, 2**63).
     """
 
     def __init__(
@@ -57,7 +53,6 @@ class DoorEnv(EnvBase):
         horizon: int = task.HORIZON,
         num_threads: int | None = None,
         seed: int | None = None,
-        retry_failed: int = 0,
         device: torch.device | str = "cpu",
     ) -> None:
         if horizon < 1:
@@ -66,7 +61,6 @@ class DoorEnv(EnvBase):
         super().__init__(device=device, batch_size=[num_doors])
         self.horizon = horizon
         self.simulator = simulator
-        self.retry_failed = retry_failed
         self._make_specs()
         self._set_seed(seed)
 
@@ -115,8 +109,6 @@ class DoorEnv(EnvBase):
         self._seed = seed
         self._episodes = np.zeros(self.num_doors, dtype=np.int64)
         self._elapsed = np.zeros(self.num_doors, dtype=np.int64)
-        self._opened = np.zeros(self.num_doors, dtype=bool)
-        self._failed = FailedDoors(self.retry_failed)
 
     def _reset(self, tensordict: TensorDictBase | None, **_: object) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -125,32 +117,18 @@ class DoorEnv(EnvBase):
             doors = np.arange(self.num_doors)
         else:
             doors = np.flatnonzero(mask.reshape(-1).cpu().numpy())
-        self._note_failures(doors)
         if given is None:
-            positions = np.array([self._next_position(int(i)) for i in doors]).reshape(-1, 3)
+            positions = np.array(
+                [door_position(self._seed, int(i), int(self._episodes[i])) for i in doors]
+            ).reshape(-1, 3)
         else:
             positions = given.detach().cpu().double().numpy()[doors]
         self.simulator.reset(positions, doors)
         # A given position consumes its turn too: the k-th episode has one address, however begun.
         self._episodes[doors] += 1
         self._elapsed[doors] = 0
-        self._opened[doors] = False
         observation = self.simulator.observation()
         return self._tensordict(self._observed(observation) | self._flags(observation, doors))
-
-    def _note_failures(self, doors: NDArray[np.int64]) -> None:
-        """Queue the doors whose episode ended unopened; one that was cut short says nothing."""
-        gone = task.terminated(self.simulator.observation()).reshape(-1) & (self._elapsed > 0)
-        ended = gone | (self._elapsed >= self.horizon)
-        failed = doors[(ended & ~self._opened)[doors]]
-        self._failed.add(self.simulator.door_position[failed])
-
-    def _next_position(self, door: int) -> NDArray[np.float64]:
-        episode = int(self._episodes[door])
-        # Every second one, so that fresh doors go on coming however many fail.
-        if episode % 2 and len(self._failed):
-            return self._failed.take()
-        return door_position(self._seed, door, episode)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict.get("action").detach().cpu().numpy()
@@ -162,7 +140,6 @@ class DoorEnv(EnvBase):
         )
         observation = self.simulator.step(action, active)
         self._elapsed += active
-        self._opened |= active & task.success(observation).reshape(-1)
         reward = np.where(active, task.reward(observation), np.float32(0))
         return self._tensordict(
             self._observed(observation) | self._flags(observation) | {"reward": reward}
@@ -202,8 +179,6 @@ class DoorEnv(EnvBase):
             "seed": np.asarray(self._seed, dtype=np.int64),
             "episodes": self._episodes.copy(),
             "elapsed": self._elapsed.copy(),
-            "opened": self._opened.copy(),
-            "failed": self._failed.get_state(),
         }
         return {key: torch.from_numpy(np.asarray(value)) for key, value in arrays.items()}
 
@@ -224,8 +199,6 @@ class DoorEnv(EnvBase):
         self._seed = int(arrays["seed"])
         self._episodes = arrays["episodes"].copy()
         self._elapsed = arrays["elapsed"].copy()
-        self._opened = arrays["opened"].copy()
-        self._failed.set_state(arrays["failed"])
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """Stop the simulator's threads."""

@@ -33,7 +33,6 @@ def long_config(folder: Path, demos: Path, *overrides: str) -> Config:
         folder,
         demos,
         "env.horizon=30",
-        "env.retry_failed=2",
         "loss.n_step=3",
         f"collector.total_frames={WHOLE}",
         "collector.frames_per_batch=50",

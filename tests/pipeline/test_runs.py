@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 from configs import Config
 from pipeline.build import build_run
 from pipeline.cloning import behaviour_cloned
-from pipeline.components import make_demonstrations, make_rows, make_training_env
+from pipeline.components import make_demonstrations, make_rows
 from pipeline.evaluate_run import evaluate_run
 from pipeline.policy import load_policy
 from pipeline.run_dir import (
@@ -52,18 +52,6 @@ def test_every_variant_trains_and_is_evaluated(variant: str, tmp_path: Path, dem
     assert result["made_from"]["variant"] == variant
     loaded, _ = load_policy(run.config, run.run_dir)
     assert same(parameters_of(run.actor), parameters_of(loaded))
-
-
-def test_failed_doors_are_retried_in_training_only(tmp_path: Path, demos: Path):
-    """Fresh doors are another list: the evaluation's must stay the same for every policy."""
-    config = tiny_config("sac", tmp_path, demos, "env.retry_failed=2")
-    assert make_training_env(config).retry_failed == 2
-    run = build_run(config)
-    run.train()
-    with_retries = evaluate_run(run.run_dir, episodes=4)
-    OmegaConf.update(config, "env.retry_failed", 0)
-    write_atomically(run.run_dir / CONFIG, OmegaConf.to_yaml(config))
-    assert evaluate_run(run.run_dir, episodes=4)["return_mean"] == with_retries["return_mean"]
 
 
 @pytest.mark.parametrize("env", ["gymnasium:Pendulum-v1", "dm_control:cheetah/run"])
