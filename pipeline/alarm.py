@@ -124,6 +124,17 @@ def _stall(best: Row, now: Row) -> str | None:
     )
 
 
+def _mean_action(best: Row, now: Row) -> str | None:
+    sampled = _number(now, "train_success")
+    lost = _success(best) - _success(now)
+    if sampled is None or sampled - _success(now) < FALL * lost:
+        return None
+    return (
+        f"the mean action alone (sampled actions open {sampled:.0%} of the training doors: the "
+        "policy has learned with its noise; try a smaller loss.target_entropy)"
+    )
+
+
 def _letting_go(best: Row, now: Row) -> str | None:
     before, after = _half_open(best), _half_open(now)
     if before is None or after is None:
@@ -138,6 +149,7 @@ def _letting_go(best: Row, now: Row) -> str | None:
 
 
 CAUSES: tuple[Callable[[Row, Row], str | None], ...] = (
+    _mean_action,
     _overestimation,
     _widening,
     _faded_imitation,

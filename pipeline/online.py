@@ -110,7 +110,8 @@ def build_online(
         GrownHook(grown).register(trainer)
         if config.growth.self_imitation:
             harvest = Harvest(grown, _admission(config), to_rows, source="policy")
-    EpisodeHook(harvest, resumes_midway=resumes_midway(env)).register(trainer)
+    episodes = EpisodeHook(harvest, resumes_midway=resumes_midway(env))
+    episodes.register(trainer)
     store = StoreHook(main, to_rows)
     time_use.watch(store, "store", "store")
     store.register(trainer)
@@ -118,7 +119,10 @@ def build_online(
     if config.sampler.demo_update_period:
         demo_batches = Mixture(None, distribution, main_rows=0, demo_rows=rows, device=device)
         DemoUpdateHook(stepper, demo_batches, config.sampler.demo_update_period).register(trainer)
-    diagnostics: list[Callable[[], Mapping[str, float]]] = [TrainingState(stepper)]
+    diagnostics: list[Callable[[], Mapping[str, float]]] = [
+        TrainingState(stepper),
+        episodes.averages,
+    ]
     if demos is not None:
         diagnostics.append(DemonstrationProbe(loss, demos.rows, demos.held_out))
     make_evaluation_hook(config, policy, run_dir, time_use, *diagnostics).register(trainer)

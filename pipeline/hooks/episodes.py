@@ -51,14 +51,15 @@ class EpisodeHook(TrainerHookBase):
                 self.on_episode(episode, frames)
         return batch
 
+    def averages(self) -> dict[str, float]:
+        """Means over the last ``WINDOW`` episodes; nothing before the first has ended."""
+        found = {"train_return": self.returns, "train_success": self.successes}
+        return {key: float(np.mean(values)) for key, values in found.items() if values}
+
     def log(self, _batch: TensorDictBase) -> dict[str, Any] | None:
-        """Running averages for the logger and the progress bar."""
-        if not self.returns:
-            return None
-        scalars: dict[str, Any] = {"train_return": float(np.mean(self.returns)), "log_pbar": True}
-        if self.successes:
-            scalars["train_success"] = float(np.mean(self.successes))
-        return scalars
+        """The averages for the logger and the progress bar."""
+        averages = self.averages()
+        return {**averages, "log_pbar": True} if averages else None
 
     def register(self, trainer: Trainer, name: str = "episodes") -> None:
         """Registers at ``batch_process`` and ``pre_steps_log``."""

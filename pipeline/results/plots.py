@@ -26,6 +26,7 @@ SCORES: Mapping[str, str] = {
 PANELS: Sequence[tuple[str, Sequence[str], bool]] = (
     ("stage reached (share of doors)", (
         "share_reached", "share_latch_turned", "share_gt_0_2", "share_gt_1_0", "share_gt_1_35",
+        "train_success",
     ), False),
     ("gradient on the actor", ("grad_norm_rl", "grad_norm_bc"), True),
     ("cosine of the two gradients", ("grad_cosine",), False),

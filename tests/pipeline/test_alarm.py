@@ -69,6 +69,7 @@ def test_before_the_first_actor_update_there_is_nothing_to_blame():
         ({"bc_weight": 0.1}, "faded imitation"),
         ({"bc_nll_train": -34.0}, "leaving the demonstrations"),
         ({"share_latch_turned": 0.4}, "a stall of the mean action"),
+        ({"train_success": 0.6}, "the mean action alone (sampled actions open 60% of the"),
         ({"share_gt_0_2": 0.6}, "letting go of the door (of the 50% lost, 30% move"),
     ],
 )
@@ -78,7 +79,7 @@ def test_it_names_the_cause(changes: dict[str, float], cause: str):
 
 def test_small_changes_are_no_causes():
     small = {"q_policy_actions": 11.4, "entropy": -35.5, "bc_weight": 0.3, "bc_nll_train": -35.5}
-    assert causes(**small, share_gt_0_2=0.5) == "none of the known causes"
+    assert causes(**small, share_gt_0_2=0.5, train_success=0.5) == "none of the known causes"
 
 
 def test_several_causes_are_all_named():

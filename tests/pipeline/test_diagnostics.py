@@ -100,6 +100,8 @@ def test_every_evaluation_of_a_run_comes_with_its_diagnostics(tmp_path: Path, de
         "q_policy_actions",
         "bc_nll_train",
         "bc_nll_held_out",
+        "train_return",
+        "train_success",
     } <= last.keys()
     assert 0 < first["wall_s"] < last["wall_s"]
 
