@@ -29,7 +29,7 @@ from pipeline.time_use import TimeUse
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer
 
 ROW_LIMIT = 1_000_000
-"""The main buffer holds the whole run up to this many frames, unless ``sampler.capacity`` is set."""
+"""The main buffer holds the whole run up to this many frames, or ``sampler.capacity``."""
 
 
 def build_online(
