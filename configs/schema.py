@@ -98,6 +98,7 @@ class LossConfig:
     entropy_in_target: bool = True
     target_subset: int | None = None  # critics in the target's minimum; null = all
     actor_value: str = "min"  # min | mean over the ensemble
+    target_action: str = "sample"  # sample | mean: the policy's next action in the critic's target
     rl_on_demos: bool = False  # do the RL terms also see the demonstration rows?
     q_filter: bool = False  # imitate only actions that the critics value above the policy's own
     imitation: str = "nll"  # nll (paper III-B) | mse
@@ -173,6 +174,7 @@ class CollectorConfig:
     total_frames: int = 100_000
     frames_per_batch: int = 1
     random_frames: int = 10_000  # seed steps with uniformly random actions
+    greedy_envs: int = 0  # of env.num_envs: those that act with the mean action, without noise
 
 
 @dataclass

@@ -73,6 +73,9 @@ class BCSACLoss(LossModule):
             scored; see :func:`~losses.functional.clamp_to_support`.
         target_subset: critics in the target's minimum, drawn anew at each call; ``None`` is all.
         actor_value: the critics' ``"min"`` or ``"mean"`` is what the actor maximises.
+        target_action: the policy's ``"sample"`` or ``"mean"`` action in the next state of the
+            backup. With the mean, the critics value the policy without its noise
+            (arXiv:1802.09477, without the smoothing), which has no entropy to pay for.
         entropy_in_target: whether the backup carries the entropy bonus.
         rl_on_demos: whether the reinforcement terms use the demonstration rows too.
         q_filter: whether :meth:`actor_terms` imitates only the demonstrated actions that the
@@ -126,6 +129,7 @@ class BCSACLoss(LossModule):
         action_margin: float = 1e-2,
         target_subset: int | None = None,
         actor_value: Literal["min", "mean"] = "min",
+        target_action: Literal["sample", "mean"] = "sample",
         entropy_in_target: bool = True,
         rl_on_demos: bool = False,
         q_filter: bool = False,
@@ -139,6 +143,15 @@ class BCSACLoss(LossModule):
         _require("action_margin", action_margin, 0.0 < action_margin < 1.0, "in (0, 1)")
         _require("imitation", imitation, imitation in F.IMITATION_ERRORS, "nll or mse")
         _require("actor_value", actor_value, actor_value in F.ENSEMBLE_VALUES, "min or mean")
+        _require(
+            "target_action", target_action, target_action in ("sample", "mean"), "sample or mean"
+        )
+        _require(
+            "entropy_in_target",
+            entropy_in_target,
+            not (entropy_in_target and target_action == "mean"),
+            "False with target_action='mean', which has no density",
+        )
         _require("actor", actor.in_keys, len(actor.in_keys) == 1, "a policy with one input key")
 
         self.actor = actor
@@ -154,6 +167,7 @@ class BCSACLoss(LossModule):
         self.bc_weight = bc_weight if callable(bc_weight) else ConstantWeight(float(bc_weight))
         self.gamma = gamma
         self.action_margin = action_margin
+        self.target_action = target_action
         self.entropy_in_target = entropy_in_target
         self.rl_on_demos = rl_on_demos
         self.q_filter = q_filter
@@ -327,7 +341,10 @@ class BCSACLoss(LossModule):
         """Return the regression target ``[R, 1]`` of the batch's critics."""
         keys = self.tensor_keys
         next_observation = batch["next", keys.observation]
-        next_action, next_log_prob = self._policy(next_observation).rsample_and_log_prob()
+        policy = self._policy(next_observation)
+        next_action, next_log_prob = policy.rsample_and_log_prob()
+        if self.target_action == "mean":
+            next_action = policy.deterministic_sample
         return F.soft_td_target(
             reward=batch["next", keys.reward],
             terminated=batch["next", keys.terminated],

@@ -20,6 +20,7 @@ from pipeline.cloning import behaviour_cloned
 from pipeline.components import Demonstrations
 from pipeline.compute import hidden_dtype
 from pipeline.diagnostics import DemonstrationProbe, TrainingState
+from pipeline.exploration import PartlyGreedyPolicy
 from pipeline.grow import admit_rollouts
 from pipeline.harvest import AdmissionRule, Harvest
 from pipeline.hooks import ActorAverageHook, DemoUpdateHook, EpisodeHook, GrownHook, StoreHook
@@ -78,9 +79,10 @@ def build_online(
     if config.optim.actor_average is not None:
         average = ActorAverageHook(actor, config.optim.actor_average)
     policy = actor if average is None else average.average
+    greedy = config.collector.greedy_envs
     collector = Collector(
         env,
-        actor,
+        PartlyGreedyPolicy(actor, greedy, config.env.num_envs) if greedy else actor,
         frames_per_batch=config.collector.frames_per_batch,
         total_frames=-1,  # the trainer counts, so that a resumed run can go on for longer
         init_random_frames=config.collector.random_frames,
