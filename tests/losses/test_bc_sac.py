@@ -344,6 +344,25 @@ def test_the_target_can_do_without_entropy() -> None:
     assert torch.equal(*targets)
 
 
+def test_the_target_can_value_the_policy_without_its_noise() -> None:
+    """The critic is the sum of the action, so the target shows which action it was asked about."""
+
+    class ActionSum(nn.Module):
+        def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+            return action.sum(-1, keepdim=True).expand(1, -1, 1)
+
+    actor, batch = make_actor(), make_batch(6, demo_rows=None)
+    batch["next", "terminated"] = torch.zeros_like(batch["next", "terminated"])
+    batch["next", "reward"] = torch.zeros_like(batch["next", "reward"])
+    following = batch["next"].select("observation")
+    mean = actor.get_dist(following).deterministic_sample.sum(-1, keepdim=True)
+    for action, is_mean in (("mean", True), ("sample", False)):
+        loss = BCSACLoss(
+            actor, ActionSum(), target_action=action, gamma=1.0, entropy_in_target=False
+        )
+        assert torch.allclose(loss.critic_terms(batch).target, mean) == is_mean
+
+
 @pytest.mark.parametrize(("subset", "values"), [(None, {1.0}), (1, {1.0, 2.0, 6.0}), (3, {1.0})])
 def test_the_target_takes_the_minimum_over_a_random_subset(
     subset: int | None, values: set[float]
@@ -407,6 +426,8 @@ def test_critics_may_be_a_list_or_one_module() -> None:
         ({"action_margin": 0.0}, "action_margin must be in"),
         ({"imitation": "l2"}, "imitation must be nll or mse, got 'l2'"),
         ({"actor_value": "max"}, "actor_value must be min or mean"),
+        ({"target_action": "mode"}, "target_action must be sample or mean, got 'mode'"),
+        ({"target_action": "mean"}, "entropy_in_target must be False with target_action='mean'"),
         ({"bc_weight": -1.0}, "weight and must be finite and >= 0"),
     ],
 )

@@ -233,6 +233,7 @@ def test_writing_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         ("sac", "evaluation.exploration=random", r"evaluation\.exploration must be one of"),
         ("sac", "logging.loggers=[csv,neptune]", r"logging\.loggers: unknown \['neptune'\]"),
         ("sac", "loss.actor_value=max", "actor_value must be min or mean"),
+        ("sac", "loss.target_action=mode", "target_action must be sample or mean"),
         ("sac", "loss.imitation=l1", "imitation must be nll or mse"),
         ("sac", "env.name=window", "unknown environment 'window'; valid: door, gymnasium:ID"),
         ("sac", "loss.bc_weight.kind=quadratic", "quadratic"),
