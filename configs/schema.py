@@ -131,9 +131,7 @@ class SamplerConfig:
     """Exact row counts of one batch."""
 
     batch_size: int = 1024  # rows from the replay buffer
-    capacity: int | None = (
-        None  # rows of the replay buffer, the oldest leave; null = all of the run
-    )
+    capacity: int | None = None  # rows the replay buffer holds, the newest; null = the whole run
     demo_ratio: float = 0.0  # rows from the demonstration distribution D per row of batch_size
     demo_update_period: int = 0  # f of Algorithm 1: an extra update on D every f updates; 0 = never
 

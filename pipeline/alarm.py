@@ -131,7 +131,7 @@ def _mean_action(best: Row, now: Row) -> str | None:
         return None
     return (
         f"the mean action alone (sampled actions open {sampled:.0%} of the training doors: the "
-        "policy has learned with its noise; try a smaller loss.target_entropy)"
+        "policy has learned with its noise; try loss.target_action=mean, collector.greedy_envs)"
     )
 
 
