@@ -64,6 +64,15 @@ def test_sac_runs_on_other_tasks_without_a_change(env: str, tmp_path: Path, demo
     assert result["length_mean"] == 10.0
 
 
+def test_the_trainer_keeps_no_history_of_what_it_logged(tmp_path: Path, demos: Path):
+    """A tensor kept per update is a leak: gigabytes in a run of the paper's size."""
+    run = build_run(tiny_config("bc_sac", tmp_path, demos))
+    run.train()
+    kept = {name: len(values) for name, values in run.trainer._log_dict.items()}
+    assert kept["loss_qvalue"] == 1
+    assert set(kept.values()) == {1}
+
+
 def test_the_random_frames_are_kept(tmp_path: Path, demos: Path):
     """The trap: TorchRL's own storing hooks do not run until the random frames are collected."""
     run = build_run(tiny_config("sac", tmp_path, demos, "collector.random_frames=20"))
