@@ -98,7 +98,6 @@ class LossConfig:
     entropy_in_target: bool = True
     target_subset: int | None = None  # critics in the target's minimum; null = all
     actor_value: str = "min"  # min | mean over the ensemble
-    actor_mean_share: float = 0.0  # share of rows where the actor is valued by its mean action
     target_action: str = "sample"  # sample | mean: the policy's next action in the critic's target
     rl_on_demos: bool = False  # do the RL terms also see the demonstration rows?
     q_filter: bool = False  # imitate only actions that the critics value above the policy's own

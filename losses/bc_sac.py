@@ -73,11 +73,6 @@ class BCSACLoss(LossModule):
             scored; see :func:`~losses.functional.clamp_to_support`.
         target_subset: critics in the target's minimum, drawn anew at each call; ``None`` is all.
         actor_value: the critics' ``"min"`` or ``"mean"`` is what the actor maximises.
-        actor_mean_share: the share, in [0, 1], of the reinforcement rows, drawn anew at each call,
-            at which the actor maximises the value of its mean action in place of a sample's: what
-            it learns then counts the policy that is evaluated beside the one that explores. 0 is
-            SAC; 1 is a deterministic policy gradient (arXiv:1509.02971) whose entropy bonus still
-            widens the samples.
         target_action: the policy's ``"sample"`` or ``"mean"`` action in the next state of the
             backup. With the mean, the critics value the policy without its noise
             (arXiv:1802.09477, without the smoothing), which has no entropy to pay for.
@@ -134,7 +129,6 @@ class BCSACLoss(LossModule):
         action_margin: float = 1e-2,
         target_subset: int | None = None,
         actor_value: Literal["min", "mean"] = "min",
-        actor_mean_share: float = 0.0,
         target_action: Literal["sample", "mean"] = "sample",
         entropy_in_target: bool = True,
         rl_on_demos: bool = False,
@@ -149,7 +143,6 @@ class BCSACLoss(LossModule):
         _require("action_margin", action_margin, 0.0 < action_margin < 1.0, "in (0, 1)")
         _require("imitation", imitation, imitation in F.IMITATION_ERRORS, "nll or mse")
         _require("actor_value", actor_value, actor_value in F.ENSEMBLE_VALUES, "min or mean")
-        _require("actor_mean_share", actor_mean_share, 0.0 <= actor_mean_share <= 1.0, "in [0, 1]")
         _require(
             "target_action", target_action, target_action in ("sample", "mean"), "sample or mean"
         )
@@ -174,7 +167,6 @@ class BCSACLoss(LossModule):
         self.bc_weight = bc_weight if callable(bc_weight) else ConstantWeight(float(bc_weight))
         self.gamma = gamma
         self.action_margin = action_margin
-        self.actor_mean_share = actor_mean_share
         self.target_action = target_action
         self.entropy_in_target = entropy_in_target
         self.rl_on_demos = rl_on_demos
@@ -247,8 +239,7 @@ class BCSACLoss(LossModule):
         """
         observation = tensordict[self.tensor_keys.observation]
         policy = self._policy(observation)
-        sample, log_prob = policy.rsample_and_log_prob()
-        action = self._valued_action(policy, sample)
+        action, log_prob = policy.rsample_and_log_prob()
         rows = self._reinforcement_rows(tensordict)
         if rows is not None:
             # Sampling every row is cheap; the critics are not, so they see only rows that count.
@@ -264,9 +255,8 @@ class BCSACLoss(LossModule):
     def actor_loss(self, tensordict: TensorDictBase) -> Tensor:
         """Return the reinforcement half ``[]`` of :meth:`actor_terms`; no other row is run."""
         observation = self._reinforcement_batch(tensordict)[self.tensor_keys.observation]
-        policy = self._policy(observation)
-        sample, log_prob = policy.rsample_and_log_prob()
-        rl, _ = self._reinforcement(observation, self._valued_action(policy, sample), log_prob)
+        action, log_prob = self._policy(observation).rsample_and_log_prob()
+        rl, _ = self._reinforcement(observation, action, log_prob)
         return rl
 
     def bc_loss(self, tensordict: TensorDictBase) -> Tensor:
@@ -373,13 +363,6 @@ class BCSACLoss(LossModule):
             return F.subset_minimum(self.target_critic(observation, action), size)
         members = F.draw_members(self._ensemble_size, size, observation.device)
         return F.subset_minimum(self.target_critic(observation, action, members=members))
-
-    def _valued_action(self, policy: TanhNormal, sample: Tensor) -> Tensor:
-        """Return the actions ``[R, A]`` whose value the actor maximises: samples, or means."""
-        if self.actor_mean_share == 0.0:  # no random number either: the draws of SAC
-            return sample
-        at_mean = torch.rand_like(sample[:, :1]) < self.actor_mean_share
-        return torch.where(at_mean, policy.deterministic_sample, sample)
 
     def _reinforcement(
         self, observation: Tensor, action: Tensor, log_prob: Tensor

@@ -35,7 +35,7 @@ class ActorTerms:
         bc: ``[]``, unweighted mean imitation error over the demonstration rows. Where none is
             marked it is 0 with zero gradient; where the batch has no marks, a constant 0.
         log_prob: ``[R]``, log-density in nats of the sampled actions, detached.
-        q: ``[R, 1]``, the critics' value of the actions in ``rl`` (samples, or means), detached.
+        q: ``[R, 1]``, the critics' value of the sampled actions, detached.
     """
 
     rl: Tensor

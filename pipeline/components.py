@@ -191,7 +191,6 @@ def make_loss(
         action_margin=loss.action_margin,
         target_subset=loss.target_subset,
         actor_value=loss.actor_value,  # type: ignore[arg-type]  # OmegaConf has no Literal
-        actor_mean_share=loss.actor_mean_share,
         target_action=loss.target_action,  # type: ignore[arg-type]  # OmegaConf has no Literal
         entropy_in_target=loss.entropy_in_target,
         rl_on_demos=loss.rl_on_demos,

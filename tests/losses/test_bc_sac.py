@@ -344,36 +344,13 @@ def test_the_target_can_do_without_entropy() -> None:
     assert torch.equal(*targets)
 
 
-class ActionSum(nn.Module):
-    """A critic that shows which action it was asked about."""
-
-    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        return action.sum(-1, keepdim=True).expand(1, -1, 1)
-
-
-@pytest.mark.parametrize(("share", "expected"), [(0.0, 0), (0.25, 500), (1.0, 2000)])
-def test_the_actor_is_valued_by_its_mean_action_at_a_share_of_the_rows(
-    share: float, expected: int
-) -> None:
-    actor, batch = make_actor(), make_batch(2000, demo_rows=None)
-    mean = actor.get_dist(batch.select("observation")).deterministic_sample.sum(-1, keepdim=True)
-    loss = BCSACLoss(actor, ActionSum(), actor_mean_share=share)
-    count = loss.actor_terms(batch).q.isclose(mean, atol=1e-6).sum().item()
-    # A hundred is five standard deviations of a share of 0.25.
-    assert abs(count - expected) <= (0 if share in (0.0, 1.0) else 100)
-
-
-def test_an_actor_valued_by_its_mean_action_follows_that_value_s_gradient() -> None:
-    actor, batch = make_actor(), make_batch(8, demo_rows=None)
-    loss = BCSACLoss(actor, ActionSum(), actor_mean_share=1.0, init_temperature=1e-9)
-    parameters = list(actor.parameters())
-    by_loss = torch.autograd.grad(loss.actor_loss(batch), parameters)
-    mean = actor.get_dist(batch.select("observation")).deterministic_sample
-    by_mean = torch.autograd.grad(-mean.sum(-1).mean(), parameters)
-    torch.testing.assert_close(by_loss, by_mean)
-
-
 def test_the_target_can_value_the_policy_without_its_noise() -> None:
+    """The critic is the sum of the action, so the target shows which action it was asked about."""
+
+    class ActionSum(nn.Module):
+        def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+            return action.sum(-1, keepdim=True).expand(1, -1, 1)
+
     actor, batch = make_actor(), make_batch(6, demo_rows=None)
     batch["next", "terminated"] = torch.zeros_like(batch["next", "terminated"])
     batch["next", "reward"] = torch.zeros_like(batch["next", "reward"])
@@ -449,7 +426,6 @@ def test_critics_may_be_a_list_or_one_module() -> None:
         ({"action_margin": 0.0}, "action_margin must be in"),
         ({"imitation": "l2"}, "imitation must be nll or mse, got 'l2'"),
         ({"actor_value": "max"}, "actor_value must be min or mean"),
-        ({"actor_mean_share": 1.5}, r"actor_mean_share must be in \[0, 1\], got 1.5"),
         ({"target_action": "mode"}, "target_action must be sample or mean, got 'mode'"),
         ({"target_action": "mean"}, "entropy_in_target must be False with target_action='mean'"),
         ({"bc_weight": -1.0}, "weight and must be finite and >= 0"),
