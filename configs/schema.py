@@ -142,6 +142,8 @@ class AdmissionConfig:
 
     min_angle: float | None = 1.35  # rad, the episode's largest hinge angle
     min_return: float | None = None
+    quantile: float | None = None  # of the last `window` training returns, to be reached as well
+    window: int = 50  # training episodes
 
 
 @dataclass
@@ -152,6 +154,7 @@ class GrowthConfig:
     bc_model: bool = False  # admit the good episodes of the BC model, before training starts
     bc_model_episodes: int = 250  # doors it is rolled out on
     capacity: int = 100_000  # rows; the oldest grown episode leaves first, the core never does
+    share: float | None = None  # of the demonstration rows, once full; null = by number of rows
     admission: AdmissionConfig = field(default_factory=AdmissionConfig)
 
 

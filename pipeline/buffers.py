@@ -99,22 +99,35 @@ class GrownDemonstrations:
 class DemonstrationDistribution:
     """The paper's D: the core demonstrations and the grown ones, uniform over all their rows.
 
+    Deviation: with ``grown_share``, the grown part has that share of the rows once its ring is
+    full, and as much less as it is emptier; ``None`` is the paper's union.
+
     Args:
         core: Read-only buffer of the given demonstrations.
         grown: Episodes that joined later, if the variant has any.
+        grown_share: Of the rows drawn, in [0, 1].
+
+    Raises:
+        ValueError: If the share is out of range.
     """
 
     def __init__(
-        self, core: TensorDictReplayBuffer, grown: GrownDemonstrations | None = None
+        self,
+        core: TensorDictReplayBuffer,
+        grown: GrownDemonstrations | None = None,
+        grown_share: float | None = None,
     ) -> None:
+        if grown_share is not None and not 0.0 <= grown_share <= 1.0:
+            raise ValueError(f"growth.share must be in [0, 1] or null, got {grown_share}.")
         self.core = core
         self.grown = grown
+        self.grown_share = grown_share
 
     def __len__(self) -> int:
         return len(self.core) + (len(self.grown) if self.grown is not None else 0)
 
     def sample(self, n: int) -> TensorDictBase:
-        """Draws ``n`` rows with replacement; the grown part gets its proportional share."""
+        """Draws ``n`` rows with replacement; the grown part gets its share."""
         return self.sample_batches(1, n).squeeze(0)
 
     def sample_batches(self, batches: int, n: int) -> TensorDictBase:
@@ -122,7 +135,7 @@ class DemonstrationDistribution:
 
         The grown part's share of n is rounded up or down at random so that it is exact on average.
         """
-        expected = n * len(self.grown) / len(self) if self.grown is not None else 0.0
+        expected = n * self._share()
         n_grown = min(n, int(expected + torch.rand(()).item())) if expected else 0
         parts: Sequence[TensorDictBase] = [
             buffer.sample(batches * count).reshape(batches, count)
@@ -130,6 +143,14 @@ class DemonstrationDistribution:
             if count > 0
         ]
         return torch.cat(list(parts), dim=1) if len(parts) > 1 else parts[0]
+
+    def _share(self) -> float:
+        """Of the grown rows among those drawn."""
+        if self.grown is None:
+            return 0.0
+        if self.grown_share is None:
+            return len(self.grown) / len(self)
+        return self.grown_share * len(self.grown) / self.grown.capacity
 
     def _buffers(self) -> list[TensorDictReplayBuffer]:
         return [self.core] if self.grown is None else [self.core, self.grown.buffer]

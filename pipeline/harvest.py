@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from envs.door.task import SUCCESS_ANGLE
 from pipeline.buffers import EpisodeRecord, GrownDemonstrations
@@ -39,6 +43,45 @@ class AdmissionRule:
         return self.min_return is None or episode.episode_return >= self.min_return
 
 
+class MovingBound:
+    """A bound on the return that rises with the policy: a quantile of the last episodes' returns.
+
+    A fixed bound ends up admitting everything that a learned policy does, good or middling.  All
+    finished episodes count, failures too, so that a policy which unlearns lowers the bound again
+    and does not starve.  Until ``window`` episodes have ended, none is better than usual.
+
+    Args:
+        quantile: Of the returns, in [0, 1): 0.5 admits the better half.
+        window: Episodes that are remembered.
+
+    Raises:
+        ValueError: If either is out of range.
+    """
+
+    def __init__(self, quantile: float, window: int) -> None:
+        if not 0.0 <= quantile < 1.0:
+            raise ValueError(f"growth.admission.quantile must be in [0, 1), got {quantile}.")
+        if window < 1:
+            raise ValueError(f"growth.admission.window must be at least 1, got {window}.")
+        self.quantile = quantile
+        self.recent: deque[float] = deque(maxlen=window)
+
+    def passes(self, episode_return: float) -> bool:
+        """Whether the return reaches the bound of the episodes before it, which it then joins."""
+        full = len(self.recent) == self.recent.maxlen
+        good = full and episode_return >= float(np.quantile(self.recent, self.quantile))
+        self.recent.append(episode_return)
+        return good
+
+    def state_dict(self) -> dict[str, Any]:
+        """The remembered returns."""
+        return {"recent": list(self.recent)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self.recent = deque(state["recent"], maxlen=self.recent.maxlen)
+
+
 @dataclass(frozen=True)
 class Harvest:
     """Admits good episodes to the grown demonstrations, with their provenance."""
@@ -47,10 +90,13 @@ class Harvest:
     rule: AdmissionRule
     to_rows: TransitionRows
     source: str
+    bound: MovingBound | None = None
+    """Sees every episode, whether the rule admits it or not."""
 
     def __call__(self, episode: FinishedEpisode, frame: int) -> None:
         """Offers one finished episode."""
-        if not self.rule.admits(episode):
+        good = self.bound is None or self.bound.passes(episode.episode_return)
+        if not good or not self.rule.admits(episode):
             return
         record = EpisodeRecord(
             source=self.source,

@@ -22,7 +22,7 @@ from pipeline.compute import hidden_dtype
 from pipeline.diagnostics import DemonstrationProbe, TrainingState
 from pipeline.exploration import PartlyGreedyPolicy
 from pipeline.grow import admit_rollouts
-from pipeline.harvest import AdmissionRule, Harvest
+from pipeline.harvest import AdmissionRule, Harvest, MovingBound
 from pipeline.hooks import ActorAverageHook, DemoUpdateHook, EpisodeHook, GrownHook, StoreHook
 from pipeline.mixture import DRAWS, Mixture
 from pipeline.stepper import BCSACStepper, StepRhythm
@@ -109,9 +109,10 @@ def build_online(
         average.register(trainer)
     harvest = None
     if grown is not None:
-        GrownHook(grown).register(trainer)
+        bound = _moving_bound(config)
+        GrownHook(grown, bound).register(trainer)
         if config.growth.self_imitation:
-            harvest = Harvest(grown, _admission(config), to_rows, source="policy")
+            harvest = Harvest(grown, _admission(config), to_rows, "policy", bound)
     episodes = EpisodeHook(harvest, resumes_midway=resumes_midway(env))
     episodes.register(trainer)
     store = StoreHook(main, to_rows)
@@ -156,7 +157,7 @@ def _demonstration_distribution(
             num_threads=config.env.num_threads,
             device=config.device,
         )
-    return grown, DemonstrationDistribution(core, grown)
+    return grown, DemonstrationDistribution(core, grown, growth.share)
 
 
 def _capacity(config: Config) -> int:
@@ -173,6 +174,13 @@ def _capacity(config: Config) -> int:
 
 def _admission(config: Config) -> AdmissionRule:
     return AdmissionRule(config.growth.admission.min_angle, config.growth.admission.min_return)
+
+
+def _moving_bound(config: Config) -> MovingBound | None:
+    admission = config.growth.admission
+    if admission.quantile is None:
+        return None
+    return MovingBound(admission.quantile, admission.window)
 
 
 def _updates_per_batch(config: Config) -> int:

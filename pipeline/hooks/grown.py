@@ -9,6 +9,7 @@ from tensordict import TensorDictBase
 from torchrl.trainers import Trainer, TrainerHookBase
 
 from pipeline.buffers import GrownDemonstrations
+from pipeline.harvest import MovingBound
 
 
 class GrownHook(TrainerHookBase):
@@ -16,10 +17,12 @@ class GrownHook(TrainerHookBase):
 
     Args:
         grown: The grown part of D.
+        bound: The moving bound of its admission, kept in the checkpoint too.
     """
 
-    def __init__(self, grown: GrownDemonstrations) -> None:
+    def __init__(self, grown: GrownDemonstrations, bound: MovingBound | None = None) -> None:
         self.grown = grown
+        self.bound = bound
         self._trainer: Trainer | None = None
 
     def __call__(self, _batch: TensorDictBase) -> dict[str, Any] | None:
@@ -40,6 +43,8 @@ class GrownHook(TrainerHookBase):
         self._trainer = trainer
         trainer.register_module(name, self)
         trainer.register_module("grown_buffer", self.grown.buffer)
+        if self.bound is not None:
+            trainer.register_module("moving_bound", self.bound)
         trainer.register_op("pre_steps_log", self)
 
     def state_dict(self) -> dict[str, Any]:

@@ -126,6 +126,28 @@ def test_the_grown_part_gets_its_share_on_average():
     assert sum(counts) / 2000 == pytest.approx(1.25, abs=0.04)
 
 
+@pytest.mark.parametrize(("grown_rows", "expected"), [(0, 0.0), (25, 1.5), (100, 6.0)])
+def test_a_share_of_the_grown_part_comes_with_its_rows(grown_rows: int, expected: float):
+    """0.6 of batches of 10 once its 100 rows are there, whatever the size of the core."""
+    grown = GrownDemonstrations(capacity=100)
+    if grown_rows:
+        grown.add(tagged_rows(GROWN, grown_rows), record(grown_rows))
+    core = make_core_buffer(tagged_rows(CORE, 3000))
+    d = DemonstrationDistribution(core, grown, grown_share=0.6)
+    counts = (d.sample_batches(2000, 10)["observation"][..., 0] == GROWN).sum(-1)
+    single = [int((d.sample(10)["observation"][:, 0] == GROWN).sum()) for _ in range(2000)]
+    # The standard error is at most sqrt(0.25 / 2000) < 0.012.
+    assert sum(single) / 2000 == pytest.approx(expected, abs=0.045)
+    assert len(counts.unique()) == 1
+    assert counts[0].item() in (math.floor(expected), math.ceil(expected))
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1])
+def test_a_share_out_of_range_is_refused(share: float):
+    with pytest.raises(ValueError, match=r"growth\.share must be in \[0, 1\] or null"):
+        DemonstrationDistribution(make_core_buffer(tagged_rows(CORE, 3)), grown_share=share)
+
+
 @pytest.mark.parametrize(("batches", "n"), [(1, 5), (4, 5), (3, 1)])
 @pytest.mark.parametrize("grown_rows", [None, 0, 10])
 def test_batches_of_d_have_n_rows_each_the_core_s_first(

@@ -43,6 +43,8 @@ def long_config(folder: Path, demos: Path, *overrides: str) -> Config:
         "optim.anneal_actor=true",
         "optim.actor_average=0.9",
         "growth.capacity=150",
+        "growth.admission.quantile=0.5",
+        "growth.admission.window=2",
         *overrides,
     )
 
@@ -58,6 +60,7 @@ def everything(run: Run) -> dict[str, Any]:
         "main": modules["main_buffer"][:].to_dict(),
         "grown": modules["grown_buffer"][:].to_dict(),
         "records": modules["grown"].state_dict(),
+        "bound": modules["moving_bound"].state_dict(),
         "episodes": modules["episodes"].state_dict(),
         "evaluation": modules["evaluation"].state_dict(),
         "frames": run.trainer.collected_frames,
