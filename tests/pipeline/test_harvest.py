@@ -74,8 +74,8 @@ def test_a_moving_bound_admits_what_is_better_than_usual():
 
 def test_a_moving_bound_follows_a_policy_that_unlearns():
     bound = MovingBound(quantile=0.5, window=4)
-    assert not any([bound.passes(100.0) for _ in range(4)])
-    assert not any([bound.passes(10.0) for _ in range(2)])
+    assert [bound.passes(100.0) for _ in range(4)] == [False] * 4
+    assert [bound.passes(10.0) for _ in range(2)] == [False] * 2
     # Three of the four are 10 now.
     assert not bound.passes(10.0)
     assert bound.passes(10.0)
