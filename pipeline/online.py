@@ -37,6 +37,7 @@ def build_online(
     config: Config, run_dir: Path, demos: Demonstrations | None, time_use: TimeUse
 ) -> Run:
     """Reinforcement learning, with whatever help from D the configuration asks for."""
+    _require_growth(config)
     device, dtype = config.device, hidden_dtype(config)
     env = components.make_training_env(config)
     normalizer = components.make_normalizer(config.actor, demos)
@@ -174,6 +175,21 @@ def _capacity(config: Config) -> int:
 
 def _admission(config: Config) -> AdmissionRule:
     return AdmissionRule(config.growth.admission.min_angle, config.growth.admission.min_return)
+
+
+def _require_growth(config: Config) -> None:
+    """Refuses options that nothing would read."""
+    growth = config.growth
+    if growth.admission.quantile is not None and not growth.self_imitation:
+        raise ValueError(
+            "growth.admission.quantile judges training episodes, which join the demonstrations "
+            "only with growth.self_imitation=true: set that, or the quantile to null."
+        )
+    if growth.share is not None and not growth.self_imitation and not growth.bc_model:
+        raise ValueError(
+            "growth.share is for demonstrations that grow: set growth.self_imitation=true or "
+            "growth.bc_model=true, or the share to null."
+        )
 
 
 def _moving_bound(config: Config) -> MovingBound | None:
