@@ -116,6 +116,22 @@ class EnsembleLinear(nn.Module):
         return torch.baddbmm(self.bias, x, self.weight)
 
 
+class EnsembleValue(EnsembleLinear):
+    """``E`` independent maps of features to one number: :class:`EnsembleLinear` with one output.
+
+    A matrix product with a single column, and the outer product that is its gradient, run on CPU
+    at a small part of the speed of memory: as a sum of products the same numbers, gradients
+    included, take a quarter of the time or less (docs/performance.md).
+    """
+
+    def __init__(self, num_members: int, in_features: int) -> None:
+        super().__init__(num_members, in_features, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps ``[E, B, I]`` to ``[E, B, 1]``."""
+        return torch.linalg.vecdot(x, self.weight.mT).unsqueeze(-1) + self.bias
+
+
 class EnsembleLayerNorm(nn.Module):
     """Layer normalisation with separate scale and shift for each of ``E`` members."""
 
@@ -168,7 +184,7 @@ class BatchedCritics(nn.Module):
                 layers.append(EnsembleLayerNorm(num_critics, n_out))
             layers.append(nn.ReLU(inplace=True))
         self.hidden = HiddenLayers(nn.Sequential(*layers), hidden_dtype)
-        self.head = EnsembleLinear(num_critics, sizes[-1], 1)
+        self.head = EnsembleValue(num_critics, sizes[-1])
 
     def forward(self, observation: Tensor, action: Tensor, members: Tensor | None = None) -> Tensor:
         """Maps observation ``[B, O]`` and action ``[B, A]`` to values ``[E, B, 1]``.
