@@ -24,6 +24,11 @@ STAMP := $(VENV)/.installed-$(subst $(comma),-,$(EXTRAS))
 PIP := $(VENV_PYTHON) -m pip --disable-pip-version-check
 TORCH_VERSION := $(shell sed -n 's/^torch==//p' constraints.txt)
 
+# glibc gives freed memory back to the kernel and pages it in again at the next update, for networks
+# 1024 wide 5,000 times: 7 % of an update (docs/performance.md). Other C libraries ignore these.
+export MALLOC_MMAP_THRESHOLD_ ?= 33554432
+export MALLOC_TRIM_THRESHOLD_ ?= 8589934592
+
 # ---- what a command was given -----------------------------------------------------------------
 # Paths go to Hydra in single quotes, because a bare = or , in one would be read as grammar.
 TRAIN_ARGS = $(if $(VARIANT),variant=$(VARIANT)) $(if $(PRESET),preset=$(PRESET)) \
