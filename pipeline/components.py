@@ -21,8 +21,9 @@ from envs.demonstrations import (
     to_tensordict,
 )
 from losses import BCSACLoss, make_schedule
+from pipeline.critics import BatchedCritics
 from pipeline.evaluation import Evaluator
-from pipeline.networks import BatchedCritics, ObservationNormalizer, make_actor
+from pipeline.networks import ObservationNormalizer, make_actor
 from pipeline.rows import TransitionRows
 
 LASTING = ("linear", "cosine")

@@ -21,8 +21,9 @@ from torchrl.objectives import SACLoss, SoftUpdate
 
 from losses import BCSACLoss
 from pipeline.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
+from pipeline.critics import BatchedCritics, EnsembleLayerNorm, EnsembleLinear
 from pipeline.mixture import Mixture
-from pipeline.networks import BatchedCritics, EnsembleLayerNorm, EnsembleLinear, make_actor
+from pipeline.networks import make_actor
 from pipeline.stepper import BCSACStepper, StepRhythm
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
 

@@ -11,11 +11,9 @@ from tensordict import TensorDict
 from torch import nn
 from torch.nn import functional as F
 
+from pipeline.critics import BatchedCritics, EnsembleLayerNorm, EnsembleLinear
 from pipeline.networks import (
     OBSERVATION_CLIP,
-    BatchedCritics,
-    EnsembleLayerNorm,
-    EnsembleLinear,
     GaussianHead,
     ObservationNormalizer,
     make_actor,

@@ -16,7 +16,8 @@ from envs.door import task
 from envs.door.simulator import DoorSimulator
 from envs.door.starts import door_position
 from losses import BCSACLoss
-from pipeline.networks import BatchedCritics, make_actor
+from pipeline.critics import BatchedCritics
+from pipeline.networks import make_actor
 
 OBSERVATION_SIZE = 3
 ACTION_SIZE = 2
