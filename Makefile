@@ -25,7 +25,7 @@ PIP := $(VENV_PYTHON) -m pip --disable-pip-version-check
 TORCH_VERSION := $(shell sed -n 's/^torch==//p' constraints.txt)
 
 # glibc gives freed memory back to the kernel and pages it in again at the next update, for networks
-# 1024 wide 5,000 times: 6 % of an update (docs/performance.md). Other C libraries ignore these.
+# 1024 wide up to 5,000 times: 6 % of an update (docs/performance.md). Other C libraries ignore these.
 export MALLOC_MMAP_THRESHOLD_ ?= 33554432
 export MALLOC_TRIM_THRESHOLD_ ?= 8589934592
 
