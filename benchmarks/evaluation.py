@@ -108,7 +108,7 @@ def compare(doors: int, rounds: int) -> dict[str, Any]:
         )
         demos = components.make_demonstrations(
             config.demos,
-            components.make_rows(config.loss),
+            components.make_rows(config),
             cache_dir=Path(folder),
             num_threads=threads,
         )

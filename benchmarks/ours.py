@@ -107,7 +107,7 @@ class Updater:
         self, config: Config, *, replay_rows: int, demo_rows: int, updates: int, frame: bool
     ) -> None:
         self.stepper = make_stepper(config)
-        to_rows = components.make_rows(config.loss)
+        to_rows = components.make_rows(config)
         main = make_buffer(replay_rows, config.device)
         for first in range(0, replay_rows, CHUNK):
             main.extend(random_rows(min(CHUNK, replay_rows - first), to_rows))

@@ -33,7 +33,7 @@ def train_and_weigh(overrides: list[str], buffer_frames: int) -> dict[str, float
         build_run(config).train()
         # Storage is mapped at once but becomes resident as rows are written.
         unwritten = max(0, buffer_frames - config.collector.total_frames)
-        row = ours.random_rows(ours.EPISODE, components.make_rows(config.loss)).bytes()
+        row = ours.random_rows(ours.EPISODE, components.make_rows(config)).bytes()
     return {
         "imports_mib": imports,
         "peak_mib": peak_resident_mib(),

@@ -92,6 +92,7 @@ class LossConfig:
     gamma: float = 0.99
     n_step: int = 1  # steps of reward before the bootstrap
     reward_scale: float = 1.0
+    angle_bonus: float = 0.0  # door, training only: reward per rad of hinge angle up to 1.5 rad
     init_temperature: float = 0.1
     target_entropy: float | None = None  # null = -(action size)
     learn_temperature: bool = True

@@ -76,7 +76,7 @@ def _demonstrations(config: Config) -> Demonstrations | None:
         return None
     return components.make_demonstrations(
         config.demos,
-        components.make_rows(config.loss),
+        components.make_rows(config),
         cache_dir=Path(config.cache_dir),
         num_threads=config.env.num_threads,
     )

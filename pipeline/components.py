@@ -21,6 +21,7 @@ from envs.demonstrations import (
     to_tensordict,
 )
 from losses import BCSACLoss, make_schedule
+from pipeline.angle_bonus import AngleBonus
 from pipeline.critics import BatchedCritics
 from pipeline.evaluation import Evaluator
 from pipeline.networks import ObservationNormalizer, make_actor
@@ -92,9 +93,20 @@ def make_demonstrations(
     )
 
 
-def make_rows(loss: LossConfig) -> TransitionRows:
-    """The conversion from trajectories to rows that all buffers share."""
-    return TransitionRows(loss.gamma, loss.n_step, loss.reward_scale)
+def make_rows(config: Config) -> TransitionRows:
+    """The conversion from trajectories to rows that all buffers share.
+
+    Raises:
+        ValueError: If ``loss.angle_bonus`` is negative, or set for a task that has no door.
+    """
+    loss = config.loss
+    if loss.angle_bonus and config.env.name != "door":
+        raise ValueError(
+            f"loss.angle_bonus={loss.angle_bonus} pays for a door's hinge angle, which "
+            f"env.name={config.env.name} does not have: set it to 0."
+        )
+    bonus = AngleBonus(loss.angle_bonus) if loss.angle_bonus else None
+    return TransitionRows(loss.gamma, loss.n_step, loss.reward_scale, bonus)
 
 
 def make_training_env(config: Config) -> EnvBase:

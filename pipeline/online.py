@@ -49,7 +49,7 @@ def build_online(
     if config.pretrain:
         actor.load_state_dict(behaviour_cloned(config, demos, time_use).state_dict())
 
-    to_rows = components.make_rows(config.loss)
+    to_rows = components.make_rows(config)
     main = make_buffer(_capacity(config), device)
     grown, distribution = _demonstration_distribution(config, demos, to_rows, time_use)
     rows = config.sampler.batch_size

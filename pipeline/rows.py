@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.data.postprocs import MultiStep
 
 ROW_KEYS = (
@@ -27,23 +30,36 @@ class TransitionRows:
         gamma: Discount per control step.
         n_step: 1 gives ordinary transitions.
         reward_scale: Factor on every reward.
+        bonus: Training reward ``[..., 1]`` of arriving at a next observation ``[..., O]``, added to
+            the environment's before scaling.
 
     Raises:
         ValueError: If ``n_step`` is below 1 or ``gamma`` outside (0, 1].
     """
 
-    def __init__(self, gamma: float, n_step: int = 1, reward_scale: float = 1.0) -> None:
+    def __init__(
+        self,
+        gamma: float,
+        n_step: int = 1,
+        reward_scale: float = 1.0,
+        bonus: Callable[[Tensor], Tensor] | None = None,
+    ) -> None:
         self.multi_step = MultiStep(gamma=gamma, n_steps=n_step)
         # MultiStep leaves every done key at t + 1 while it moves the next observation to t + n.
         # The bootstrap needs `terminated` of the observation it bootstraps from; only the keys that
         # mark where to cut may stay.
         self.multi_step.done_keys = ("done", "truncated")
         self.reward_scale = reward_scale
+        self.bonus = bonus
 
     def __call__(self, trajectories: TensorDictBase) -> TensorDictBase:
         """Converts ``[T]`` or ``[N, T]`` trajectories; the input is left as it was."""
         batched = trajectories if trajectories.ndim > 1 else trajectories.unsqueeze(0)
-        rows = self.multi_step(batched.copy())
+        batched = batched.copy()  # of nested entries too, without their tensors
+        if self.bonus is not None:
+            after = batched["next"]
+            after["reward"] = after["reward"] + self.bonus(after["observation"])
+        rows = self.multi_step(batched)
         rows = rows.select(*ROW_KEYS).flatten()
         rows["steps_to_next_obs"] = rows["steps_to_next_obs"].unsqueeze(-1)
         if self.reward_scale != 1.0:

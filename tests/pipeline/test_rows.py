@@ -6,6 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from pipeline.angle_bonus import AngleBonus
 from pipeline.rows import ROW_KEYS, TransitionRows
 from tests.pipeline.toys import trajectory
 
@@ -65,11 +66,36 @@ def test_the_reward_scale_multiplies_every_reward(n_step: int):
     torch.testing.assert_close(scaled["next", "reward"], 0.1 * plain["next", "reward"])
 
 
+def test_the_bonus_is_paid_for_the_next_observation_before_discounting_and_scaling():
+    """Next observations 1, 2, 3 pay 10, 20, 30; an episode of rewards 1 2 4, two-step rows."""
+    rows = TransitionRows(0.5, n_step=2, reward_scale=0.1, bonus=lambda after: 10.0 * after)(
+        trajectory(REWARDS[:3], terminated=[2])
+    )
+    # 0.1 (11 + 22/2), 0.1 (22 + 34/2), 0.1 * 34
+    assert column(rows, "next", "reward") == pytest.approx([2.2, 3.9, 3.4])
+
+
+def test_the_angle_bonus_grows_to_one_and_a_half_radians():
+    observation = torch.zeros(4, 38)
+    observation[:, 28] = torch.tensor([-0.1, 0.0, 1.2, 1.55])  # the hinge
+    bonus = AngleBonus(10.0)(observation)
+    assert bonus.shape == (4, 1)
+    assert bonus.squeeze(-1).tolist() == pytest.approx([-1.0, 0.0, 12.0, 15.0])
+
+
+def test_a_negative_angle_bonus_is_refused():
+    with pytest.raises(ValueError, match=r"loss\.angle_bonus.*-1"):
+        AngleBonus(-1.0)
+
+
 @pytest.mark.parametrize("n_step", [1, 3])
-def test_the_input_is_left_as_it_was(n_step: int):
+@pytest.mark.parametrize("environments", [None, 2])
+def test_the_input_is_left_as_it_was(n_step: int, environments: int | None):
     steps = trajectory(REWARDS, terminated=[2], truncated=[4])
+    if environments is not None:
+        steps = torch.stack([steps] * environments)
     before = steps.clone()
-    TransitionRows(0.9, n_step, reward_scale=0.1)(steps)
+    TransitionRows(0.9, n_step, reward_scale=0.1, bonus=torch.ones_like)(steps)
     assert set(steps.keys(True, True)) == set(before.keys(True, True))
     assert (steps == before).all()
 

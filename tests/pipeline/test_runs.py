@@ -145,7 +145,7 @@ def bc_models(folder: Path) -> list[Path]:
 
 def test_the_bc_model_is_trained_once_and_then_cached(tmp_path: Path, demos: Path):
     config = tiny_config("bc_sac", tmp_path, demos)
-    rows = make_rows(config.loss)
+    rows = make_rows(config)
     loaded = make_demonstrations(config.demos, rows, cache_dir=tmp_path / "cache", num_threads=1)
     trained = behaviour_cloned(config, loaded)
     (model,) = bc_models(tmp_path)
@@ -161,11 +161,23 @@ def test_the_bc_model_is_trained_once_and_then_cached(tmp_path: Path, demos: Pat
     assert len(bc_models(tmp_path)) == 2
 
 
+def test_an_angle_bonus_without_a_door_is_refused(tmp_path: Path, demos: Path):
+    config = tiny_config("sac", tmp_path, demos, "loss.angle_bonus=10")
+    assert make_rows(config).bonus is not None
+    config.env.name = "gymnasium:Pendulum-v1"
+    with pytest.raises(ValueError, match=r"angle_bonus=10.*Pendulum.*set it to 0"):
+        make_rows(config)
+
+
+def test_without_an_angle_bonus_the_task_alone_rewards(tmp_path: Path, demos: Path):
+    assert make_rows(tiny_config("sac", tmp_path, demos)).bonus is None
+
+
 @pytest.mark.parametrize("pretrain", [True, False])
 def test_pretraining_starts_from_the_bc_model(pretrain: bool, tmp_path: Path, demos: Path):
     config = tiny_config("bc_sac", tmp_path, demos, f"pretrain={str(pretrain).lower()}")
     run = build_run(config)
-    rows = make_rows(config.loss)
+    rows = make_rows(config)
     loaded = make_demonstrations(config.demos, rows, cache_dir=tmp_path / "cache", num_threads=1)
     model = behaviour_cloned(config, loaded)
     assert same(parameters_of(run.actor), parameters_of(model)) is pretrain
