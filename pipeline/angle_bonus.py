@@ -18,9 +18,9 @@ class AngleBonus:
     """Pays ``per_rad * min(hinge, 1.5 rad)`` for arriving at an observation.
 
     Deviation: the task's bonuses (paper, section IV-A) are steps at 0.2, 1.0 and 1.35 rad. In
-    between, a door that swings on is worth no more than one that stands, so the critics learn
-    little about what a hasty pull risks until the door has failed. Evaluations and the logged
-    training returns stay the task's; ``loss.angle_bonus=0`` undoes it.
+    between, a door that swings on earns hardly more than one that stands; what paying for it did
+    to learning is in docs/results/ablations.md, section 14. Evaluations and the logged training
+    returns stay the task's; ``loss.angle_bonus=0`` undoes it.
 
     Args:
         per_rad: Reward per control step and rad, >= 0.
