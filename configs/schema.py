@@ -49,6 +49,7 @@ class DemosConfig:
     held_out: int = 0  # episodes, after multiplication, that only diagnostics see
     multiply: MultiplyConfig = field(default_factory=MultiplyConfig)
     keep_best: float = 1.0  # share of the episodes, after multiplication: those of highest return
+    end_angle: float | None = None  # rad; episodes end where the hinge passes it, null: whole ones
 
 
 @dataclass

@@ -77,6 +77,7 @@ def make_demonstrations(
         cache_dir=cache_dir,
         limit=demos.limit,
         keep_best=demos.keep_best,
+        end_angle=demos.end_angle,
     )
     count = len(loaded.episodes) - demos.held_out
     if demos.held_out < 0 or count < 1:

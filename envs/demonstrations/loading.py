@@ -11,7 +11,12 @@ from envs.demonstrations.multiplication import multiply_cached
 from envs.demonstrations.multiply_config import MultiplyConfig
 from envs.demonstrations.report import EpisodeReport, report_episode
 from envs.demonstrations.resimulation import resimulate as resimulate_episodes
-from envs.demonstrations.selection import highest_returns, require_share
+from envs.demonstrations.selection import (
+    ended_at,
+    highest_returns,
+    require_end_angle,
+    require_share,
+)
 from envs.demonstrations.sources import open_source
 from envs.door import task
 
@@ -47,6 +52,7 @@ def load_demonstrations(
     cache_dir: str | Path | None = None,
     limit: int | None = None,
     keep_best: float = 1.0,
+    end_angle: float | None = None,
 ) -> DemonstrationSet:
     """Open, validate, re-simulate, perhaps multiply, and select demonstrations.
 
@@ -59,14 +65,19 @@ def load_demonstrations(
         cache_dir: where multiplied episodes are kept between runs; None makes them every time.
         limit: use the first so many episodes of the source only.
         keep_best: share of the episodes, after multiplication, to keep: those of highest return.
+        end_angle: end each of these where its hinge passes this angle (rad), see
+            `envs.demonstrations.selection.ended_at`; None keeps whole episodes.
 
     Raises:
         DemonstrationError: anything is wrong with the source, or multiplication keeps nothing.
-        ValueError: ``limit`` is below 1, or ``keep_best`` is not in (0, 1].
+        ValueError: ``limit`` is below 1, or ``keep_best`` or ``end_angle`` is out of its
+            range.
     """
     if limit is not None and limit < 1:
         raise ValueError(f"limit must be at least 1, got {limit}")
     require_share(keep_best)  # now, not after minutes of multiplication
+    if end_angle is not None:
+        require_end_angle(end_angle)
     source = open_source(spec)
     recorded = source.load()[:limit]
     if resimulate:
@@ -78,4 +89,6 @@ def load_demonstrations(
     if multiply is not None:
         used = multiply_cached(used, multiply, num_threads=num_threads, cache_dir=cache_dir)
     used = highest_returns(used, keep_best)
+    if end_angle is not None:
+        used = ended_at(used, end_angle)  # after the choice: returns are those of whole episodes
     return DemonstrationSet(tuple(used), source.name, content_hash(used), reports)
