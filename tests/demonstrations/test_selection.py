@@ -1,4 +1,4 @@
-"""Which episodes are imitated."""
+"""Which episodes are imitated, and up to where."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from envs.demonstrations import Episode, Provenance, load_demonstrations
-from envs.demonstrations.selection import highest_returns
+from envs.demonstrations.selection import ended_at, highest_returns
+from envs.door import task
 from tests.demonstrations.helpers import still_episode
 
 
@@ -52,6 +53,58 @@ def test_nothing_left_out_beats_what_is_kept(returns: list[int], share: float) -
     assert not left or max(left) <= min(returns[i] for i in kept)
 
 
+def door_moving(angles: list[float]) -> Episode:
+    """An episode of ``len(angles) - 1`` steps whose hinge is at these angles, one before each."""
+    observations = np.zeros((len(angles), 38), np.float32)
+    observations[:, task.HINGE] = angles
+    return still_episode(steps=len(angles) - 1, observations=observations)
+
+
+def test_an_episode_ends_with_the_step_that_passes_the_angle() -> None:
+    whole = door_moving([0.0, 0.5, 1.2, 1.3, 0.9, 1.4])
+    (ended,) = ended_at([whole], 1.25)
+    assert ended.length == 3
+    np.testing.assert_array_equal(
+        ended.observations[:, task.HINGE], np.float32([0.0, 0.5, 1.2, 1.3])
+    )
+    np.testing.assert_array_equal(ended.actions, whole.actions[:3])
+    np.testing.assert_array_equal(ended.rewards, whole.rewards[:3])
+    assert ended.max_angle == pytest.approx(1.3)
+    assert whole.length == 5  # the input is left as it was
+
+
+def test_the_end_is_no_terminal_state() -> None:
+    (ended,) = ended_at([door_moving([0.0, 1.3, 1.4])], 1.0)
+    assert not ended.terminated.any()
+
+
+def test_an_angle_that_is_never_passed_leaves_the_episode_whole() -> None:
+    (ended,) = ended_at([door_moving([0.0, 0.5, 0.5])], 0.5)
+    assert ended.length == 2
+
+
+@given(
+    st.lists(st.floats(0.0, 1.5625, width=32), min_size=2, max_size=20),
+    st.floats(0.1, 1.5),
+)
+def test_only_the_last_observation_may_lie_beyond_the_angle(
+    angles: list[float], angle: float
+) -> None:
+    (ended,) = ended_at([door_moving([0.0, *angles])], angle)
+    hinge = task.hinge_angle(ended.observations)
+    assert 1 <= ended.length <= len(angles)
+    assert (hinge[:-1] <= angle).all()
+    assert ended.length == len(angles) or hinge[-1] > angle
+
+
+@pytest.mark.parametrize("angle", [0.0, -1.0, task.FULLY_OPEN, float("nan")])
+def test_an_end_angle_out_of_range(angle: float) -> None:
+    with pytest.raises(ValueError, match=r"demos\.end_angle .* above 0 and below 1\.57"):
+        ended_at([door_moving([0.0, 1.0])], angle)
+    with pytest.raises(ValueError, match=r"demos\.end_angle"):
+        load_demonstrations("no-such-file.h5", end_angle=angle)  # before anything is read
+
+
 @pytest.mark.parametrize("share", [0.0, -0.5, 1.5, float("nan")])
 def test_a_share_out_of_range(share: float) -> None:
     with pytest.raises(ValueError, match=r"demos\.keep_best .* in \(0, 1\], got"):
@@ -70,3 +123,13 @@ def test_loading_selects() -> None:
     kept = sorted(e.rewards.sum() for e in half.episodes)
     assert kept == returns[len(returns) // 2 :]
     assert half.content_hash != loaded.content_hash
+
+
+def test_loading_ends_the_episodes_after_the_choice() -> None:
+    best = load_demonstrations("bundled", keep_best=0.5)
+    ended = load_demonstrations("bundled", keep_best=0.5, end_angle=1.0)
+    assert [e.length for e in ended.episodes] == [
+        1 + int(np.argmax(task.hinge_angle(e.observations[1:]) > 1.0)) for e in best.episodes
+    ]
+    assert which(list(ended.episodes)) == which(list(best.episodes))
+    assert ended.content_hash != best.content_hash

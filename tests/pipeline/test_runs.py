@@ -10,6 +10,7 @@ import torch
 from omegaconf import OmegaConf
 
 from configs import Config
+from envs.door import task
 from pipeline.build import build_run
 from pipeline.cloning import behaviour_cloned
 from pipeline.components import make_demonstrations, make_rows
@@ -159,6 +160,20 @@ def test_the_bc_model_is_trained_once_and_then_cached(tmp_path: Path, demos: Pat
     config.bc.lr = 0.5
     behaviour_cloned(config, loaded)
     assert len(bc_models(tmp_path)) == 2
+
+
+def test_demonstrations_may_end_where_the_door_is_open(tmp_path: Path, demos: Path):
+    changes = ("demos.source=bundled", "demos.limit=1")
+
+    def hinges(*more: str) -> torch.Tensor:
+        config = tiny_config("bc", tmp_path, demos, *changes, *more)
+        loaded = make_demonstrations(config.demos, make_rows(config), cache_dir=None, num_threads=1)
+        return loaded.rows["next", "observation"][:, task.HINGE]
+
+    whole, ended = hinges(), hinges("demos.end_angle=1.0")
+    assert len(ended) < len(whole) == task.HORIZON
+    assert (ended[:-1] <= 1.0).all()
+    assert ended[-1] > 1.0
 
 
 def test_an_angle_bonus_without_a_door_is_refused(tmp_path: Path, demos: Path):
