@@ -188,6 +188,7 @@ class EvaluationConfig:
     episodes: int = 1000
     batch: int = 250  # doors stepped together
     exploration: str = "mean"  # mean | sample: the policy's tanh(loc) or a draw
+    noise_scale: float = 1.0  # of a draw: factor on the policy's standard deviation
     interval: int = 10_000  # frames between evaluations during training; 0 = never
     interval_episodes: int = 50
 

@@ -220,6 +220,7 @@ def make_evaluator(config: Config, *, episodes: int) -> Evaluator:
         episodes=episodes,
         seed=config.evaluation.seed,
         batch=config.evaluation.batch,
+        noise_scale=config.evaluation.noise_scale,
         exploration=config.evaluation.exploration,  # type: ignore[arg-type]  # as above
         horizon=config.env.horizon,
         num_threads=config.env.num_threads,

@@ -49,6 +49,7 @@ def evaluate_run(
             "frames": origin.frames,
             "evaluation_seed": config.evaluation.seed,
             "exploration": config.evaluation.exploration,
+            "noise_scale": config.evaluation.noise_scale,
             "versions": versions(),
         },
     }

@@ -19,6 +19,7 @@ from envs import DoorEnv, make_env
 from envs.door.metrics import DoorMetrics, summarise
 from envs.door.starts import door_position
 from envs.door.task import LATCH, PALM_TO_HANDLE
+from pipeline.exploration import require_noise_scale, with_noise
 
 Exploration = Literal["mean", "sample"]
 EXPLORATION: dict[str, ExplorationType] = {
@@ -99,12 +100,14 @@ class Evaluator:
         seed: Of the list.
         batch: Episodes stepped together.
         exploration: ``mean`` takes the policy's tanh(loc), ``sample`` draws.
+        noise_scale: Of a draw: factor on the standard deviation before the tanh. Other than 1, the
+            policy must be one of ``pipeline.networks.make_actor``.
         horizon: Control steps; None is the task's own.
         num_threads: Physics threads.
         device: Of the environment's tensors.
 
     Raises:
-        ValueError: If ``exploration`` is unknown or a count is below 1.
+        ValueError: If ``exploration`` is unknown, ``noise_scale`` not positive or a count below 1.
     """
 
     env_name: str
@@ -112,6 +115,7 @@ class Evaluator:
     seed: int
     batch: int = 250
     exploration: Exploration = "mean"
+    noise_scale: float = 1.0
     horizon: int | None = None
     num_threads: int | None = None
     device: str = "cpu"
@@ -122,6 +126,7 @@ class Evaluator:
                 f"evaluation.exploration must be one of {sorted(EXPLORATION)}, "
                 f"got {self.exploration!r}."
             )
+        require_noise_scale(self.noise_scale)
         if self.episodes < 1 or self.batch < 1:
             raise ValueError(
                 f"evaluation.episodes and evaluation.batch must be at least 1, "
@@ -144,6 +149,7 @@ class Evaluator:
         )
         was_training = policy.training
         policy.eval()
+        acting = policy if self.noise_scale == 1.0 else with_noise(policy, self.noise_scale)
         try:
             with (
                 torch.random.fork_rng(devices=[]),
@@ -153,7 +159,7 @@ class Evaluator:
             ):
                 torch.manual_seed(self.seed)
                 waves = [
-                    run_wave(env, policy, door_starts(env, self.seed, first), self.episodes - first)
+                    run_wave(env, acting, door_starts(env, self.seed, first), self.episodes - first)
                     for first in range(0, self.episodes, batch)
                 ]
         finally:

@@ -1,10 +1,38 @@
-"""Which of the parallel environments act with noise."""
+"""How much noise a policy acts with: none in some environments, or a part of its own."""
 
 from __future__ import annotations
 
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import (
+    ProbabilisticTensorDictSequential,
+    TensorDictModule,
+    TensorDictModuleBase,
+)
 from torchrl.modules import ProbabilisticActor
+
+
+def require_noise_scale(scale: float) -> None:
+    """Raise ``ValueError`` unless ``scale`` is positive and finite."""
+    if not 0.0 < scale < float("inf"):
+        raise ValueError(
+            f"evaluation.noise_scale must be positive and finite, got {scale}; "
+            "for no noise set evaluation.exploration=mean."
+        )
+
+
+def with_noise(actor: ProbabilisticActor, scale: float) -> ProbabilisticTensorDictSequential:
+    """The same policy, its standard deviation before the tanh times ``scale``.
+
+    Args:
+        actor: Its weights are shared. Its first module writes ``scale`` [..., A].
+        scale: 1 samples like ``actor``; towards 0 a sample becomes the mean action.
+
+    Raises:
+        ValueError: If ``scale`` is not positive and finite.
+    """
+    require_noise_scale(scale)
+    quieter = TensorDictModule(lambda std: std * scale, in_keys=["scale"], out_keys=["scale"])
+    return ProbabilisticTensorDictSequential(actor[0], quieter, actor[-1])
 
 
 class PartlyGreedyPolicy(TensorDictModuleBase):
