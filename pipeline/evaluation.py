@@ -92,7 +92,8 @@ class Evaluator:
     """Runs a policy on the same episodes every time.
 
     Episode i of the door stands where ``envs.door.starts.door_position(seed, i, 0)`` says, so the
-    list does not depend on ``batch``; other tasks are seeded with ``seed`` and depend on it.
+    list does not depend on ``batch``; draws of actions do. Other tasks are seeded with ``seed`` and
+    depend on it too.
 
     Args:
         env_name: As for ``envs.make_env``.
@@ -147,9 +148,24 @@ class Evaluator:
             num_threads=self.num_threads,
             horizon=self.horizon,
         )
+        try:
+            with self.acting(policy) as acting:
+                waves = [
+                    run_wave(env, acting, door_starts(env, self.seed, first), self.episodes - first)
+                    for first in range(0, self.episodes, batch)
+                ]
+        finally:
+            env.close()
+        return Rollouts.join(waves)
+
+    @contextmanager
+    def acting(self, policy: TensorDictModuleBase) -> Iterator[TensorDictModuleBase]:
+        """The policy as it is judged: in evaluation mode, without gradients, with its noise.
+
+        Draws start from ``seed``; the random state of the caller and the policy's mode come back.
+        """
         was_training = policy.training
         policy.eval()
-        acting = policy if self.noise_scale == 1.0 else with_noise(policy, self.noise_scale)
         try:
             with (
                 torch.random.fork_rng(devices=[]),
@@ -158,14 +174,9 @@ class Evaluator:
                 set_exploration_type(EXPLORATION[self.exploration]),
             ):
                 torch.manual_seed(self.seed)
-                waves = [
-                    run_wave(env, acting, door_starts(env, self.seed, first), self.episodes - first)
-                    for first in range(0, self.episodes, batch)
-                ]
+                yield policy if self.noise_scale == 1.0 else with_noise(policy, self.noise_scale)
         finally:
             policy.train(was_training)
-            env.close()
-        return Rollouts.join(waves)
 
 
 @contextmanager

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import torch
 from tensordict import TensorDict
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from envs import DoorEnv
 from envs.door.render import DoorRenderer
 from envs.door.starts import door_position
 from envs.door.task import HORIZON
+from pipeline import components
 from pipeline.policy import load_policy
 from pipeline.run_dir import load_config
 
@@ -22,7 +22,7 @@ STRIDE = 2  # control steps per picture: real time
 
 
 def film(run_dir: Path, out: Path, episodes: int) -> None:
-    """Films the mean action on the first doors of the evaluation list, one after the other.
+    """Films the policy, as it is evaluated, on the first doors of the list, one after the other.
 
     Args:
         run_dir: A door run.
@@ -48,8 +48,7 @@ def film(run_dir: Path, out: Path, episodes: int) -> None:
     try:
         with (
             open_film(out, fps=FRAMES_PER_SECOND) as writer,
-            torch.no_grad(),
-            set_exploration_type(ExplorationType.DETERMINISTIC),
+            components.make_evaluator(config, episodes=episodes).acting(policy) as acting,
         ):
             for i in range(episodes):
                 position = np.atleast_2d(door_position(config.evaluation.seed, i, 0))
@@ -59,7 +58,7 @@ def film(run_dir: Path, out: Path, episodes: int) -> None:
                 while not td["done"].any():
                     if step % STRIDE == 0:
                         writer.append_data(renderer.render(0))
-                    td = env.step_mdp(env.step(policy(td)))
+                    td = env.step_mdp(env.step(acting(td)))
                     step += 1
     finally:
         renderer.close()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from omegaconf import OmegaConf
 
@@ -58,6 +60,12 @@ def export_policy(seed: Seed, run_dir: Path, folder: Path, *, name: str) -> None
     write_atomically(folder / CARD, _card(seed, config, name, origin.frames))
 
 
+def _action(made_from: Mapping[str, Any]) -> str:
+    if made_from["exploration"] == "mean":
+        return "mean action"
+    return f"sampled action, its noise times {made_from.get('noise_scale', 1.0):g}"
+
+
 def _card(seed: Seed, config: Config, name: str, frames: int) -> str:
     evaluation = seed.evaluation
     figures = "\n".join(
@@ -78,6 +86,6 @@ Opens the door of the paper's task: 38 observations in, 28 actions in (-1, 1) ou
 | network | {" x ".join(str(width) for width in config.actor.hidden)} |
 {figures}
 
-Over {evaluation["episodes"]} doors, evaluation seed {made_from["evaluation_seed"]}, {made_from["exploration"]} action. Again: `make eval RUN=docs/results/policies/{name}`.
+Over {evaluation["episodes"]} doors, evaluation seed {made_from["evaluation_seed"]}, {_action(made_from)}. Again: `make eval RUN=docs/results/policies/{name}`.
 Weights are in `{WEIGHTS}` (safetensors: tensors only), the configuration in `{CONFIG}`.
 """  # noqa: E501 - lines of Markdown

@@ -23,8 +23,11 @@ RECIPE = (
     "demos_multiplied",
     "evaluation_seed",
     "exploration",
+    "noise_scale",
 )
 """What the seeds of one row have in common."""
+BEFORE_IT_WAS_NAMED = {"noise_scale": 1.0}
+"""What held for evaluations that are older than a key of ``RECIPE``."""
 DIGITS = 6
 """Significant digits of published curves."""
 
@@ -158,7 +161,9 @@ def merge_rows(earlier: Sequence[ResultRow], later: Sequence[ResultRow]) -> list
 
 
 def _require_one_recipe(row: ResultRow) -> None:
-    first, *others = (seed.published()["made_from"] for seed in row.seeds)
+    first, *others = (
+        {**BEFORE_IT_WAS_NAMED, **seed.published()["made_from"]} for seed in row.seeds
+    )
     for other in others:
         for key in RECIPE:
             if other.get(key) != first.get(key):

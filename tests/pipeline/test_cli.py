@@ -99,6 +99,10 @@ def test_eval_takes_another_file_seed_and_action(command: Command, trained: Path
     assert other["return_mean"] != first["return_mean"]
     assert other["made_from"]["evaluation_seed"] == 5
     assert other["made_from"]["exploration"] == "sample"
+    noise = ("evaluation.exploration=sample", "evaluation.noise_scale=0.5")
+    quieter = evaluated("d.json", "evaluation.seed=5", *noise)
+    assert quieter["return_mean"] != other["return_mean"]
+    assert quieter["made_from"]["noise_scale"] == 0.5
 
 
 def test_table_sets_runs_beside_the_paper(command: Command, trained: Path, tmp_path: Path):

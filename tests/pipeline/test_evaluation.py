@@ -83,6 +83,21 @@ def test_the_seed_is_that_of_the_list_of_doors(policy: nn.Module, together: Roll
     assert not np.isclose(other.returns, together.returns).any()
 
 
+def test_less_noise_lies_between_a_sample_and_the_mean_action(
+    policy: nn.Module, together: Rollouts
+):
+    def distance(noise_scale: float) -> float:
+        sampled = evaluator(exploration="sample", noise_scale=noise_scale).run(policy)
+        return float(np.abs(sampled.returns - together.returns).mean())
+
+    assert distance(1e-6) < 1e-3
+    assert distance(1e-6) < distance(0.1) < distance(1.0)
+
+
+def test_the_noise_has_no_part_in_the_mean_action(policy: nn.Module, together: Rollouts):
+    np.testing.assert_array_equal(evaluator(noise_scale=0.5).run(policy).returns, together.returns)
+
+
 def test_the_mean_action_is_not_a_sample(policy: nn.Module, together: Rollouts):
     samples = [evaluator(exploration="sample").run(policy) for _ in range(2)]
     np.testing.assert_array_equal(samples[0].returns, samples[1].returns)
@@ -218,6 +233,7 @@ def test_only_doors_can_be_placed():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"noise_scale": 0.0}, r"evaluation\.noise_scale must be positive and finite, got 0\.0"),
         ({"exploration": "random"}, r"evaluation\.exploration must be one of .* got 'random'"),
         ({"episodes": 0}, "must be at least 1, got 0 and 5"),
         ({"batch": 0}, "must be at least 1, got 5 and 0"),

@@ -1,4 +1,4 @@
-"""Environments that act with the mean action beside those that sample."""
+"""Environments that act with the mean action beside those that sample, and a part of the noise."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from pipeline.build import build_run
-from pipeline.exploration import PartlyGreedyPolicy
+from pipeline.exploration import PartlyGreedyPolicy, with_noise
 from pipeline.networks import make_actor
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, tiny_config
 
@@ -59,3 +60,31 @@ def test_a_run_collects_with_it(tmp_path: Path, demos: Path):
         run.trainer.collector.shutdown()
     assert torch.equal(batches[0][0], batches[1][0])
     assert not torch.equal(batches[0][1], batches[1][1])
+
+
+def test_a_part_of_the_noise_is_added_before_the_tanh():
+    actor = make_actor(OBSERVATION_SIZE, ACTION_SIZE, [8])
+    policy = actor.get_dist(observations(4))
+    with set_exploration_type(ExplorationType.RANDOM):
+        torch.manual_seed(5)
+        action = with_noise(actor, 0.5)(observations(4))["action"]
+    torch.manual_seed(5)
+    drawn = torch.randn(4, ACTION_SIZE)
+    expected = torch.tanh(policy.loc + 0.5 * policy.scale * drawn)
+    torch.testing.assert_close(action, expected)
+
+
+def test_a_part_of_the_noise_leaves_the_policy_and_its_mean_as_they_were():
+    actor = make_actor(OBSERVATION_SIZE, ACTION_SIZE, [8])
+    before = actor.get_dist(observations(4)).scale
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        quiet = with_noise(actor, 0.5)(observations(4))["action"]
+        assert torch.equal(quiet, actor(observations(4))["action"])
+    assert torch.equal(actor.get_dist(observations(4)).scale, before)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), float("inf")])
+def test_no_part_of_the_noise_is_the_mean_action_and_is_refused(scale: float):
+    actor = make_actor(OBSERVATION_SIZE, ACTION_SIZE, [8])
+    with pytest.raises(ValueError, match=r"noise_scale must be positive.*exploration=mean"):
+        with_noise(actor, scale)

@@ -263,6 +263,14 @@ def test_a_row_of_two_recipes_is_refused():
         merge_rows([earlier], [later])
 
 
+def test_an_evaluation_from_before_the_noise_was_named_had_all_of_it():
+    earlier = ResultRow("row", (seed_with(0, 1.0),))
+    merge_rows([earlier], [ResultRow("row", (seed_with(1, 1.0, noise_scale=1.0),))])
+    quieter = ResultRow("row", (seed_with(1, 1.0, noise_scale=0.5),))
+    with pytest.raises(RunDirectoryError, match=r"seed 0 has noise_scale 1\.0, seed 1 has 0\.5"):
+        merge_rows([earlier], [quieter])
+
+
 def test_rows_that_gain_nothing_are_not_judged(in_two_goes: tuple[Path, Path], tmp_path: Path):
     earlier = ResultRow("old", (seed_with(0, 1.0, preset="a"), seed_with(1, 1.0, preset="b")))
     (old, _) = merge_rows([earlier], load_rows(in_two_goes[0]))

@@ -266,6 +266,7 @@ def test_writing_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     [
         ("sac", "optim.updates_per_frame=0.01", r"optim\.updates_per_frame \(0\.01\) times"),
         ("sac", "optim.updates_per_frame=0.33", "must be a whole number of at least 1, got 6.6"),
+        ("sac", "evaluation.noise_scale=-1", r"evaluation\.noise_scale must be positive"),
         ("sac", "evaluation.exploration=random", r"evaluation\.exploration must be one of"),
         ("sac", "logging.loggers=[csv,neptune]", r"logging\.loggers: unknown \['neptune'\]"),
         ("sac", "loss.actor_value=max", "actor_value must be min or mean"),
