@@ -119,8 +119,8 @@ def _stall(best: Row, now: Row) -> str | None:
     if reached < 1.0 - FALL or turned > FALL * before:
         return None
     return (
-        f"a stall of the mean action (the hand arrives in {reached:.0%}, turns the latch in "
-        f"{turned:.0%}; compare with evaluation.exploration=sample)"
+        f"a stall of the evaluated action (the hand arrives in {reached:.0%}, turns the latch in "
+        f"{turned:.0%}; compare with evaluation.exploration=sample, all of the noise)"
     )
 
 
@@ -130,8 +130,8 @@ def _mean_action(best: Row, now: Row) -> str | None:
     if sampled is None or sampled - _success(now) < FALL * lost:
         return None
     return (
-        f"the mean action alone (sampled actions open {sampled:.0%} of the training doors: the "
-        "policy has learned with its noise; try loss.target_action=mean, collector.greedy_envs)"
+        f"the evaluated action alone (training's samples open {sampled:.0%} of the doors there: "
+        "the policy has learned with its noise; try loss.target_action=mean, collector.greedy_envs)"
     )
 
 

@@ -38,8 +38,9 @@ def with_noise(actor: ProbabilisticActor, scale: float) -> ProbabilisticTensorDi
 class PartlyGreedyPolicy(TensorDictModuleBase):
     """Acts with the policy's mean action in the first environments and samples in the others.
 
-    What is evaluated is the mean action, and a policy that learns from samples alone never meets
-    what its mean runs into: on the door, noise shakes a hand free that would stand still.
+    What is evaluated is the mean action as a rule, and a policy that learns from samples alone
+    never meets what its mean runs into: on the door, noise shakes a hand free that would stand
+    still.
 
     Args:
         actor: Being trained; its weights are shared.

@@ -68,8 +68,8 @@ def test_before_the_first_actor_update_there_is_nothing_to_blame():
         ({"entropy": -34.0}, "entropy bonus"),
         ({"bc_weight": 0.1}, "faded imitation"),
         ({"bc_nll_train": -34.0}, "leaving the demonstrations"),
-        ({"share_latch_turned": 0.4}, "a stall of the mean action"),
-        ({"train_success": 0.6}, "the mean action alone (sampled actions open 60% of the"),
+        ({"share_latch_turned": 0.4}, "a stall of the evaluated action"),
+        ({"train_success": 0.6}, "the evaluated action alone (training's samples open 60% of the"),
         ({"share_gt_0_2": 0.6}, "letting go of the door (of the 50% lost, 30% move"),
     ],
 )

@@ -18,7 +18,7 @@ from pipeline.build import build_run
 from pipeline.cli import app
 from pipeline.evaluate_run import evaluate_run
 from pipeline.policy import WEIGHTS, load_policy
-from pipeline.results.export import exported_seed
+from pipeline.results.export import export_policy, exported_seed
 from pipeline.results.publish import publish
 from pipeline.results.rows import ResultRow, Seed, load_published, load_rows, merge_rows
 from pipeline.results.statistics import interquartile_means, on_grid
@@ -177,6 +177,25 @@ def test_a_published_policy_acts_like_its_run(runs: Path, published: Path):
     assert evaluate_run(folder, episodes=2)["return_mean"] == pytest.approx(
         evaluate_run(runs / "bc" / "seed0", episodes=2)["return_mean"]
     )
+
+
+@pytest.mark.parametrize(
+    ("action", "said"),
+    [
+        ({"exploration": "mean", "noise_scale": 0.5}, "mean action."),
+        ({"exploration": "sample", "noise_scale": 0.5}, "sampled action, its noise times 0.5."),
+        ({"exploration": "sample"}, "sampled action, its noise times 1."),  # before it was named
+    ],
+)
+def test_the_card_of_a_policy_says_how_it_acted(
+    action: dict, said: str, runs: Path, tmp_path: Path
+):
+    (row,) = (row for row in load_rows(runs) if row.name == "bc")
+    evaluation = dict(row.seeds[0].evaluation)
+    made_from = {k: v for k, v in evaluation["made_from"].items() if k != "noise_scale"}
+    seed = Seed({**evaluation, "made_from": {**made_from, **action}}, (), ())
+    export_policy(seed, runs / "bc" / "seed0", tmp_path / "bc", name="bc")
+    assert said in (tmp_path / "bc" / "README.md").read_text()
 
 
 def test_published_weights_of_another_size_are_refused(published: Path):
