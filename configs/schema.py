@@ -161,6 +161,15 @@ class GrowthConfig:
 
 
 @dataclass
+class BacktrackConfig:
+    """Return to the last good policy when training episodes begin to fail."""
+
+    level: float | None = None  # of the test for it, in (0, 1); null = never go back
+    window: int = 10  # episodes that are judged together
+    memory: int = 100  # episodes before them that say what is usual
+
+
+@dataclass
 class BehaviourCloningConfig:
     """Offline behaviour cloning: one recipe for the `bc` row, the ILD demonstrator, pretraining."""
 
@@ -227,6 +236,7 @@ class Config:
     optim: OptimConfig = field(default_factory=OptimConfig)
     sampler: SamplerConfig = field(default_factory=SamplerConfig)
     growth: GrowthConfig = field(default_factory=GrowthConfig)
+    backtrack: BacktrackConfig = field(default_factory=BacktrackConfig)
     bc: BehaviourCloningConfig = field(default_factory=BehaviourCloningConfig)
     collector: CollectorConfig = field(default_factory=CollectorConfig)
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)

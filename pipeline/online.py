@@ -5,25 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from torch import nn
 from torchrl.collectors import Collector
 
 from configs.schema import Config
 from pipeline import components
-from pipeline.buffers import (
-    DemonstrationDistribution,
-    GrownDemonstrations,
-    make_buffer,
-    make_core_buffer,
-)
+from pipeline.buffers import make_buffer
 from pipeline.checkpoint import CollectorState, make_checkpoint, resumes_midway
 from pipeline.cloning import behaviour_cloned
 from pipeline.components import Demonstrations
 from pipeline.compute import hidden_dtype
 from pipeline.diagnostics import DemonstrationProbe, TrainingState
 from pipeline.exploration import PartlyGreedyPolicy
-from pipeline.grow import admit_rollouts
-from pipeline.harvest import AdmissionRule, Harvest, MovingBound
-from pipeline.hooks import ActorAverageHook, DemoUpdateHook, EpisodeHook, GrownHook, StoreHook
+from pipeline.growth import demonstration_distribution, register_growth, require_growth
+from pipeline.hooks import (
+    ActorAverageHook,
+    BacktrackHook,
+    DemoUpdateHook,
+    EpisodeHook,
+    StoreHook,
+)
 from pipeline.mixture import DRAWS, Mixture
 from pipeline.stepper import BCSACStepper, StepRhythm
 from pipeline.time_use import TimeUse
@@ -37,7 +38,7 @@ def build_online(
     config: Config, run_dir: Path, demos: Demonstrations | None, time_use: TimeUse
 ) -> Run:
     """Reinforcement learning, with whatever help from D the configuration asks for."""
-    _require_growth(config)
+    require_growth(config)
     device, dtype = config.device, hidden_dtype(config)
     env = components.make_training_env(config)
     normalizer = components.make_normalizer(config.actor, demos)
@@ -51,7 +52,7 @@ def build_online(
 
     to_rows = components.make_rows(config)
     main = make_buffer(_capacity(config), device)
-    grown, distribution = _demonstration_distribution(config, demos, to_rows, time_use)
+    grown, distribution = demonstration_distribution(config, demos, to_rows, time_use)
     rows = config.sampler.batch_size
     mixture = Mixture(
         main,
@@ -108,13 +109,11 @@ def build_online(
     )
     if average is not None:
         average.register(trainer)
-    harvest = None
-    if grown is not None:
-        bound = _moving_bound(config)
-        GrownHook(grown, bound).register(trainer)
-        if config.growth.self_imitation:
-            harvest = Harvest(grown, _admission(config), to_rows, "policy", bound)
-    episodes = EpisodeHook(harvest, resumes_midway=resumes_midway(env))
+    backtracking = _backtracking(config, [actor] if policy is actor else [actor, policy])
+    for hook in backtracking:
+        hook.register(trainer)
+    harvests = register_growth(config, grown, to_rows, trainer)
+    episodes = EpisodeHook(*harvests, *backtracking, resumes_midway=resumes_midway(env))
     episodes.register(trainer)
     store = StoreHook(main, to_rows)
     time_use.watch(store, "store", "store")
@@ -126,39 +125,12 @@ def build_online(
     diagnostics: list[Callable[[], Mapping[str, float]]] = [
         TrainingState(stepper),
         episodes.averages,
+        *[hook.counted for hook in backtracking],
     ]
     if demos is not None:
         diagnostics.append(DemonstrationProbe(loss, demos.rows, demos.held_out))
     make_evaluation_hook(config, policy, run_dir, time_use, *diagnostics).register(trainer)
     return Run(config, run_dir, trainer, policy, time_use)
-
-
-def _demonstration_distribution(
-    config: Config,
-    demos: Demonstrations | None,
-    to_rows: components.TransitionRows,
-    time_use: TimeUse,
-) -> tuple[GrownDemonstrations | None, DemonstrationDistribution | None]:
-    if demos is None:
-        return None, None
-    core = make_core_buffer(demos.rows, config.device)
-    growth = config.growth
-    if not growth.self_imitation and not growth.bc_model:
-        return None, DemonstrationDistribution(core)
-    grown = GrownDemonstrations(growth.capacity, config.device)
-    if growth.bc_model:
-        harvest = Harvest(grown, _admission(config), to_rows, source="bc_model")
-        admit_rollouts(
-            behaviour_cloned(config, demos, time_use),
-            harvest,
-            env_name=config.env.name,
-            episodes=growth.bc_model_episodes,
-            seed=config.seed,
-            horizon=config.env.horizon,
-            num_threads=config.env.num_threads,
-            device=config.device,
-        )
-    return grown, DemonstrationDistribution(core, grown, growth.share)
 
 
 def _capacity(config: Config) -> int:
@@ -173,30 +145,17 @@ def _capacity(config: Config) -> int:
     return capacity
 
 
-def _admission(config: Config) -> AdmissionRule:
-    return AdmissionRule(config.growth.admission.min_angle, config.growth.admission.min_return)
-
-
-def _require_growth(config: Config) -> None:
-    """Refuses options that nothing would read."""
-    growth = config.growth
-    if growth.admission.quantile is not None and not growth.self_imitation:
+def _backtracking(config: Config, modules: list[nn.Module]) -> list[BacktrackHook]:
+    backtrack = config.backtrack
+    if backtrack.level is None:
+        return []
+    if config.env.name != "door":
         raise ValueError(
-            "growth.admission.quantile judges training episodes, which join the demonstrations "
-            "only with growth.self_imitation=true: set that, or the quantile to null."
+            f"backtrack.level={backtrack.level} counts doors that open, and env.name is "
+            f"{config.env.name}: set backtrack.level=null."
         )
-    if growth.share is not None and not growth.self_imitation and not growth.bc_model:
-        raise ValueError(
-            "growth.share is for demonstrations that grow: set growth.self_imitation=true or "
-            "growth.bc_model=true, or the share to null."
-        )
-
-
-def _moving_bound(config: Config) -> MovingBound | None:
-    admission = config.growth.admission
-    if admission.quantile is None:
-        return None
-    return MovingBound(admission.quantile, admission.window)
+    hook = BacktrackHook(modules, backtrack.level, window=backtrack.window, memory=backtrack.memory)
+    return [hook]
 
 
 def _updates_per_batch(config: Config) -> int:

@@ -1,6 +1,7 @@
 """Trainer hooks: small adapters between TorchRL's training loop and the pieces of the pipeline."""
 
 from pipeline.hooks.average import ActorAverageHook
+from pipeline.hooks.backtrack import BacktrackHook
 from pipeline.hooks.demo_update import DemoUpdateHook
 from pipeline.hooks.episodes import EpisodeHook
 from pipeline.hooks.evaluate import EvaluationHook
@@ -9,6 +10,7 @@ from pipeline.hooks.store import StoreHook
 
 __all__ = [
     "ActorAverageHook",
+    "BacktrackHook",
     "DemoUpdateHook",
     "EpisodeHook",
     "EvaluationHook",

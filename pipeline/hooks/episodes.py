@@ -18,24 +18,21 @@ WINDOW = 20  # episodes in the running averages
 
 
 class EpisodeHook(TrainerHookBase):
-    """Follows the training episodes: logs their return and success and offers each to a consumer.
+    """Follows the training episodes: logs return and success and offers each to the consumers.
 
     Args:
-        on_episode: Called with every finished episode and the number of collected frames; SID's
-            harvest goes here.
+        consumers: Called with every finished episode and the number of collected frames, one after
+            the other: SID's harvest, backtracking.
         resumes_midway: Whether a resumed run continues the episodes that were open; if it starts
             fresh ones, their beginnings are not saved.
     """
 
     def __init__(
-        self,
-        on_episode: Callable[[FinishedEpisode, int], None] | None = None,
-        *,
-        resumes_midway: bool = True,
+        self, *consumers: Callable[[FinishedEpisode, int], None], resumes_midway: bool = True
     ) -> None:
         self.assembler = EpisodeAssembler()
         self.resumes_midway = resumes_midway
-        self.on_episode = on_episode
+        self.consumers = consumers
         self.returns: deque[float] = deque(maxlen=WINDOW)
         self.successes: deque[float] = deque(maxlen=WINDOW)
         self._trainer: Trainer | None = None
@@ -47,8 +44,8 @@ class EpisodeHook(TrainerHookBase):
             self.returns.append(episode.episode_return)
             if not math.isnan(episode.max_angle):
                 self.successes.append(float(episode.max_angle > SUCCESS_ANGLE))
-            if self.on_episode is not None:
-                self.on_episode(episode, frames)
+            for consumer in self.consumers:
+                consumer(episode, frames)
         return batch
 
     def averages(self) -> dict[str, float]:

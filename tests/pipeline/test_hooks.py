@@ -191,7 +191,7 @@ def test_a_task_without_a_hinge_has_no_success_rate():
 
 def test_each_episode_is_offered_with_the_frame_it_ended_by(trainer: FakeTrainer):
     offered = []
-    hook = EpisodeHook(on_episode=lambda done, frame: offered.append((done.episode_return, frame)))
+    hook = EpisodeHook(lambda done, frame: offered.append((done.episode_return, frame)))
     hook.register(trainer)
     steps = trajectory([1.0, 2.0, 3.0, 4.0], truncated=[1, 3]).unsqueeze(0)
     trainer.collected_frames = 100
@@ -205,7 +205,7 @@ def test_open_episodes_and_averages_survive(trainer: FakeTrainer):
     steps["next", "hinge_angle"] = torch.full((1, 4, 1), 1.5)
     first = EpisodeHook()
     first(steps[:, :3])
-    second = EpisodeHook(on_episode=lambda done, frame: offered.append(done.episode_return))
+    second = EpisodeHook(lambda done, frame: offered.append(done.episode_return))
     second.load_state_dict(first.state_dict())
     assert second.log(steps) == {"train_return": 1.0, "train_success": 1.0, "log_pbar": True}
     second(steps[:, 3:])

@@ -45,6 +45,8 @@ def long_config(folder: Path, demos: Path, *overrides: str) -> Config:
         "growth.capacity=150",
         "growth.admission.quantile=0.5",
         "growth.admission.window=2",
+        "backtrack.level=0.02",
+        "backtrack.window=3",
         *overrides,
     )
 
@@ -62,6 +64,7 @@ def everything(run: Run) -> dict[str, Any]:
         "records": modules["grown"].state_dict(),
         "bound": modules["moving_bound"].state_dict(),
         "episodes": modules["episodes"].state_dict(),
+        "backtrack": modules["backtrack"].state_dict(),
         "evaluation": modules["evaluation"].state_dict(),
         "frames": run.trainer.collected_frames,
         "rng": torch.get_rng_state(),

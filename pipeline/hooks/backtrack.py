@@ -1,0 +1,122 @@
+"""Return to a policy that worked when training episodes begin to fail."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Sequence
+from copy import deepcopy
+from typing import Any
+
+from scipy.stats import binom
+from tensordict import TensorDictBase
+from torch import nn
+from torchrl.trainers import Trainer, TrainerHookBase
+
+from envs.door.task import SUCCESS_ANGLE
+from pipeline.episodes import FinishedEpisode
+
+_logger = logging.getLogger(__name__)
+
+
+class BacktrackHook(TrainerHookBase):
+    """Takes the actor back to its last good weights once it fails more often than chance explains.
+
+    An actor that gets faster goes over a cliff now and then: the critics, who have not seen what
+    is beyond, follow some thousand frames later. Every ``window`` training episodes are compared
+    with the ``memory`` before them, by a one-sided binomial test. Too few successes, and the actor
+    gets back the weights with which the last window of at least the usual success began; critics
+    and buffers keep what they learned from the failures. Failures count as usual too, so a policy
+    that cannot do better is not held back for ever. Only training episodes are looked at, never
+    an evaluation. TD7 also judges and keeps policies by whole training episodes (Fujimoto et al.,
+    2023, arXiv:2306.02451).
+
+    Deviation: the paper never takes an update back; ``backtrack.level=null`` does not either.
+
+    Args:
+        modules: What goes back together: the actor and, if there is one, its average.
+        level: Of the test, in (0, 1): the chance of going back although nothing has changed.
+        window: Episodes that are judged together.
+        memory: Episodes before them that say what is usual.
+
+    Raises:
+        ValueError: If one of them is out of range.
+    """
+
+    def __init__(
+        self, modules: Sequence[nn.Module], level: float, *, window: int, memory: int
+    ) -> None:
+        if not 0.0 < level < 1.0:
+            raise ValueError(f"backtrack.level must be in (0, 1) or null, got {level}.")
+        if not 1 <= window <= memory:
+            raise ValueError(
+                "backtrack.window must be at least 1 and at most backtrack.memory, "
+                f"got {window} and {memory}."
+            )
+        self.modules = list(modules)
+        self.level = level
+        self.window: deque[bool] = deque(maxlen=window)
+        self.usual: deque[bool] = deque(maxlen=memory)
+        self.count = 0
+        self._candidate = self._weights()
+        self._good = self._candidate
+
+    def __call__(self, episode: FinishedEpisode, frame: int) -> None:
+        """Takes one finished training episode; goes back at most once per window."""
+        self.window.append(episode.max_angle > SUCCESS_ANGLE)
+        if len(self.window) < (self.window.maxlen or 0):
+            return
+        successes, episodes = sum(self.window), len(self.window)
+        # Laplace's rule: after nothing but successes, one failure is still possible.
+        rate = (sum(self.usual) + 1) / (len(self.usual) + 2)
+        if self.usual and binom.cdf(successes, episodes, rate) < self.level:
+            self._go_back(f"{successes} of {episodes} training episodes at {frame} frames")
+        elif successes >= rate * episodes:
+            self._good = self._candidate
+        self.usual.extend(self.window)
+        self.window.clear()
+        self._candidate = self._weights()
+
+    def _go_back(self, seen: str) -> None:
+        for module, weights in zip(self.modules, self._good, strict=True):
+            module.load_state_dict(weights)
+        self.count += 1
+        _logger.info("back to the last good policy: %s opened the door", seen)
+
+    def _weights(self) -> list[dict[str, Any]]:
+        return [deepcopy(module.state_dict()) for module in self.modules]
+
+    def counted(self) -> dict[str, float]:
+        """How often the actor was taken back, for the learning curve."""
+        return {"backtracks": float(self.count)}
+
+    def log(self, _batch: TensorDictBase) -> dict[str, Any]:
+        """The same for the logger."""
+        return {**self.counted(), "log_pbar": False}
+
+    def register(self, trainer: Trainer, name: str = "backtrack") -> None:
+        """Registers at ``pre_steps_log``; episodes come from ``EpisodeHook``."""
+        trainer.register_module(name, self)
+        trainer.register_op("pre_steps_log", self.log)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The windows, and both sets of weights by the module's place."""
+        return {
+            "window": list(self.window),
+            "usual": list(self.usual),
+            "count": self.count,
+            "candidate": _numbered(self._candidate),
+            "good": _numbered(self._good),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores what :meth:`state_dict` gave."""
+        self.window = deque(state["window"], maxlen=self.window.maxlen)
+        self.usual = deque(state["usual"], maxlen=self.usual.maxlen)
+        self.count = state["count"]
+        self._candidate = [state["candidate"][str(i)] for i in range(len(self.modules))]
+        self._good = [state["good"][str(i)] for i in range(len(self.modules))]
+
+
+def _numbered(weights: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    return {str(i): entry for i, entry in enumerate(weights)}

@@ -1,0 +1,189 @@
+"""Going back to the last good policy when training episodes begin to fail."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import nn
+
+from pipeline.build import build_run
+from pipeline.episodes import FinishedEpisode
+from pipeline.hooks import BacktrackHook
+from tests.pipeline.toys import parameters_of, same, tiny_config, trajectory
+
+
+def episode(opened: bool) -> FinishedEpisode:
+    steps = trajectory([0.0], truncated=[0])
+    return FinishedEpisode(steps, episode_return=0.0, max_angle=1.4 if opened else 1.3)
+
+
+def offer(hook: BacktrackHook, outcomes: str) -> None:
+    """One episode per letter: ``o`` for a door that opens, ``x`` for one that does not."""
+    for letter in outcomes:
+        hook(episode(letter == "o"), 1000)
+
+
+class Weight:
+    """A module of one number, and a hook over it."""
+
+    def __init__(self, level: float, window: int = 2, memory: int = 2) -> None:
+        self.module = nn.Linear(1, 1, bias=False)
+        self.set(0.0)
+        self.hook = BacktrackHook([self.module], level, window=window, memory=memory)
+
+    def set(self, value: float) -> None:
+        nn.init.constant_(self.module.weight, value)
+
+    @property
+    def value(self) -> float:
+        return self.module.weight.item()
+
+
+# After two successes the usual rate is (2 + 1) / (2 + 2) = 3/4: both of two episodes fail with a
+# chance of 1/16 = 0.0625, at least one fails with 7/16 = 0.4375.
+@pytest.mark.parametrize(
+    ("level", "outcomes", "goes_back"),
+    [
+        (0.07, "xx", True),
+        (0.06, "xx", False),
+        (0.07, "ox", False),
+        (0.43, "ox", False),
+        (0.44, "xo", True),
+        (0.99, "oo", False),
+    ],
+)
+def test_too_few_successes_for_chance_take_the_weights_back(
+    level: float, outcomes: str, goes_back: bool
+):
+    weight = Weight(level)
+    offer(weight.hook, "oo")
+    weight.set(1.0)
+    offer(weight.hook, outcomes)
+    assert weight.value == (0.0 if goes_back else 1.0)
+    assert weight.hook.counted() == {"backtracks": float(goes_back)}
+
+
+def test_it_goes_back_to_where_the_last_good_window_began():
+    weight = Weight(level=0.1, memory=8)
+    for value, outcomes in [(1.0, "oo"), (2.0, "oo"), (3.0, "oo"), (4.0, "ox"), (5.0, "xx")]:
+        offer(weight.hook, outcomes)
+        weight.set(value)
+    # The usual rate is 8/10 when "ox" ends, which is below it: what "oo" began with at 2.0 is
+    # the last good one. "xx" then happens by chance in 0.09 of all cases at the rate of 0.7.
+    assert weight.hook.count == 1
+    weight.set(5.0)
+    offer(weight.hook, "xx")
+    assert weight.hook.count == 1  # the failures count as usual: half of the episodes now
+    assert weight.value == 5.0
+
+
+def test_the_weights_it_went_back_to_are_those():
+    weight = Weight(level=0.07)
+    offer(weight.hook, "oo")  # began with 0
+    weight.set(1.0)
+    offer(weight.hook, "oo")  # began with 0 as well: it was set after the first
+    weight.set(2.0)
+    offer(weight.hook, "oo")  # began with 1
+    weight.set(3.0)
+    offer(weight.hook, "xx")
+    assert weight.value == 1.0
+
+
+def test_the_first_window_has_nothing_to_be_compared_with():
+    weight = Weight(level=0.99)
+    weight.set(1.0)
+    offer(weight.hook, "xx")
+    assert weight.value == 1.0
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(1, 10), st.floats(0.001, 0.5))
+def test_a_policy_that_cannot_do_better_is_let_go(window: int, level: float):
+    weight = Weight(level, window=window, memory=40)
+    offer(weight.hook, "o" * 40 + "x" * 60)
+    before = weight.hook.count
+    weight.set(1.0)
+    offer(weight.hook, "x" * 400)
+    assert weight.hook.count == before
+    assert weight.value == 1.0
+
+
+@pytest.mark.parametrize("rate", [0.5, 0.8, 0.95])
+def test_an_unchanged_policy_goes_back_about_as_often_as_the_level_says(rate: float):
+    weight = Weight(level=0.05, window=10, memory=100)
+    opened = np.random.default_rng(0).random(20_000) < rate
+    offer(weight.hook, "".join("o" if one else "x" for one in opened))
+    assert 0 < weight.hook.count < 0.05 * 2000
+
+
+def test_state_survives():
+    first, second = Weight(level=0.07), Weight(level=0.07)
+    offer(first.hook, "oo")
+    first.set(1.0)
+    offer(first.hook, "oox")
+    second.set(7.0)
+    second.hook.load_state_dict(first.hook.state_dict())
+    offer(second.hook, "x")
+    assert second.value == 0.0
+    assert second.hook.count == 1
+    assert second.hook.state_dict()["candidate"]["0"]["weight"].item() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("level", "window", "memory", "named"),
+    [
+        (0.0, 10, 100, r"level must be in \(0, 1\) or null, got 0\.0"),
+        (1.0, 10, 100, r"level must be in \(0, 1\) or null, got 1\.0"),
+        (0.1, 0, 100, r"window must be at least 1 .* got 0 and 100"),
+        (0.1, 10, 9, r"at most backtrack\.memory, got 10 and 9"),
+    ],
+)
+def test_values_that_make_no_sense_are_named(level: float, window: int, memory: int, named: str):
+    with pytest.raises(ValueError, match=named):
+        BacktrackHook([], level, window=window, memory=memory)
+
+
+BACKTRACKING = ("backtrack.level=0.07", "backtrack.window=2", "backtrack.memory=2")
+
+
+def test_actor_and_average_go_back_in_a_run(tmp_path: Path, demos: Path):
+    config = tiny_config("bc_sac", tmp_path, demos, *BACKTRACKING, "optim.actor_average=0.9")
+    run = build_run(config)
+    actor = run.trainer.loss_module.actor
+    before = [p.clone() for p in parameters_of(actor)]
+    hook, episodes = run.trainer._modules["backtrack"], run.trainer._modules["episodes"]
+    assert episodes.consumers == (hook,)
+    offer(hook, "oo")
+    with torch.no_grad():
+        for module in (actor, run.actor):
+            for parameter in module.parameters():
+                parameter.add_(1.0)
+    offer(hook, "xx")
+    assert run.actor is not actor
+    assert same(before, parameters_of(actor))
+    assert same(before, parameters_of(run.actor))
+
+
+def test_the_learning_curve_counts(tmp_path: Path, demos: Path):
+    def last_row(name: str, *overrides: str) -> dict:
+        config = tiny_config("bc_sac", tmp_path / name, demos, *overrides)
+        run = build_run(config)
+        run.train()
+        lines = (run.run_dir / "learning_curve.jsonl").read_text().splitlines()
+        return json.loads(lines[-1])
+
+    assert last_row("on", *BACKTRACKING)["backtracks"] == 0
+    assert "backtracks" not in last_row("off")
+
+
+def test_without_a_door_it_is_refused(tmp_path: Path, demos: Path):
+    config = tiny_config("sac", tmp_path, demos, "backtrack.level=0.02")
+    config.env.name = "gymnasium:Pendulum-v1"
+    with pytest.raises(ValueError, match=r"backtrack\.level=0\.02.*Pendulum.*level=null"):
+        build_run(config)
