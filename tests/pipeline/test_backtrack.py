@@ -69,18 +69,16 @@ def test_too_few_successes_for_chance_take_the_weights_back(
     assert weight.hook.counted() == {"backtracks": float(goes_back)}
 
 
-def test_it_goes_back_to_where_the_last_good_window_began():
+def test_a_window_below_the_usual_rate_is_not_one_to_go_back_to():
     weight = Weight(level=0.1, memory=8)
-    for value, outcomes in [(1.0, "oo"), (2.0, "oo"), (3.0, "oo"), (4.0, "ox"), (5.0, "xx")]:
-        offer(weight.hook, outcomes)
+    for value, outcomes in [(1.0, "oo"), (2.0, "oo"), (3.0, "ox"), (4.0, "xx")]:
         weight.set(value)
-    # The usual rate is 8/10 when "ox" ends, which is below it: what "oo" began with at 2.0 is
-    # the last good one. "xx" then happens by chance in 0.09 of all cases at the rate of 0.7.
+        offer(weight.hook, outcomes)
+    # Each window began with the value before its own. Before "ox" the usual rate is 5/6: half of
+    # two is no proof (the chance is 0.31) and not good either. Before "xx" it is 6/8, whose chance
+    # of nothing is 0.0625: back to the beginning of the second "oo".
+    assert weight.value == 1.0
     assert weight.hook.count == 1
-    weight.set(5.0)
-    offer(weight.hook, "xx")
-    assert weight.hook.count == 1  # the failures count as usual: half of the episodes now
-    assert weight.value == 5.0
 
 
 def test_the_weights_it_went_back_to_are_those():

@@ -190,13 +190,17 @@ def test_a_task_without_a_hinge_has_no_success_rate():
 
 
 def test_each_episode_is_offered_with_the_frame_it_ended_by(trainer: FakeTrainer):
-    offered = []
-    hook = EpisodeHook(lambda done, frame: offered.append((done.episode_return, frame)))
+    offered, counted = [], []
+    hook = EpisodeHook(
+        lambda done, frame: offered.append((done.episode_return, frame)),
+        lambda done, _frame: counted.append(done.length),
+    )
     hook.register(trainer)
     steps = trajectory([1.0, 2.0, 3.0, 4.0], truncated=[1, 3]).unsqueeze(0)
     trainer.collected_frames = 100
     assert hook(steps) is steps
     assert offered == [(3.0, 104), (7.0, 104)]
+    assert counted == [2, 2]
 
 
 def test_open_episodes_and_averages_survive(trainer: FakeTrainer):
