@@ -144,7 +144,8 @@ def _letting_go(best: Row, now: Row) -> str | None:
         return None
     return (
         f"letting go of the door (of the {lost:.0%} lost, {after - before:.0%} move beyond 0.2 rad "
-        "and stop before 1.35; try demonstrations that open it wider: demos.multiply.min_angle)"
+        "and stop before 1.35; try backtrack.level=0.02, or demonstrations that open it wider: "
+        "demos.multiply.min_angle)"
     )
 
 
