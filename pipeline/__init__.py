@@ -4,7 +4,7 @@
 
     envs.make_env -> Collector(actor) -> batch [num_envs, T]
        batch_process        EpisodeHook    cuts the stream into whole episodes: statistics, SID,
-                                      backtracking (the actor returns to its last good weights)
+                                           backtracking (the actor returns to its last good weights)
                             StoreHook      n-step rewards, flatten -> main replay buffer
        process_optim_batch  Mixture        exact row counts from main and D = demo + grown
        optimization_stepper BCSACStepper   critic -> actor (RL and BC) -> temperature -> target

@@ -8,9 +8,9 @@ from configs.schema import Config
 from pipeline.buffers import DemonstrationDistribution, GrownDemonstrations, make_core_buffer
 from pipeline.cloning import behaviour_cloned
 from pipeline.components import Demonstrations
-from pipeline.grow import admit_rollouts
 from pipeline.harvest import AdmissionRule, Harvest, MovingBound
 from pipeline.hooks import GrownHook
+from pipeline.rollouts import admit_rollouts
 from pipeline.rows import TransitionRows
 from pipeline.time_use import TimeUse
 
@@ -36,9 +36,9 @@ def demonstration_distribution(
     to_rows: TransitionRows,
     time_use: TimeUse,
 ) -> tuple[GrownDemonstrations | None, DemonstrationDistribution | None]:
-    """D and the part of it that grows; with ILD, a BC model's episodes are in it already.
+    """The part of D that grows, and D; with ILD, a BC model's episodes have joined already.
 
-    Both are None without demonstrations; the second also where nothing may join D.
+    Both are None without demonstrations; the first also where nothing may join D.
     """
     if demos is None:
         return None, None

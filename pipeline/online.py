@@ -146,6 +146,7 @@ def _capacity(config: Config) -> int:
 
 
 def _backtracking(config: Config, modules: list[nn.Module]) -> list[BacktrackHook]:
+    """The hook over ``modules``, or none."""
     backtrack = config.backtrack
     if backtrack.level is None:
         return []

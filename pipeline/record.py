@@ -11,9 +11,9 @@ import torch
 
 from envs.demonstrations import Episode, Provenance, write_recording
 from pipeline.episodes import FinishedEpisode
-from pipeline.grow import MAX_BATCH, rollout_episodes
 from pipeline.harvest import AdmissionRule
 from pipeline.policy import load_policy
+from pipeline.rollouts import MAX_BATCH, rollout_episodes
 from pipeline.run_dir import load_config, versions
 
 

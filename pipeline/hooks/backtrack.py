@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from copy import deepcopy
 from typing import Any
 
-from scipy.stats import binom
-from tensordict import TensorDictBase
+from scipy.stats import binomtest
 from torch import nn
 from torchrl.trainers import Trainer, TrainerHookBase
 
@@ -35,7 +34,8 @@ class BacktrackHook(TrainerHookBase):
 
     Args:
         modules: What goes back together: the actor and, if there is one, its average.
-        level: Of the test, in (0, 1): the chance of going back although nothing has changed.
+        level: Of the test, in (0, 1): about the largest chance, per window, of going back although
+            nothing has changed.
         window: Episodes that are judged together.
         memory: Episodes before them that say what is usual.
 
@@ -69,7 +69,8 @@ class BacktrackHook(TrainerHookBase):
         successes, episodes = sum(self.window), len(self.window)
         # Laplace's rule: after nothing but successes, one failure is still possible.
         rate = (sum(self.usual) + 1) / (len(self.usual) + 2)
-        if self.usual and binom.cdf(successes, episodes, rate) < self.level:
+        test = binomtest(successes, episodes, rate, alternative="less")
+        if self.usual and test.pvalue < self.level:
             self._go_back(f"{successes} of {episodes} training episodes at {frame} frames")
         elif successes >= rate * episodes:
             self._good = self._candidate
@@ -90,14 +91,9 @@ class BacktrackHook(TrainerHookBase):
         """How often the actor was taken back, for the learning curve."""
         return {"backtracks": float(self.count)}
 
-    def log(self, _batch: TensorDictBase) -> dict[str, Any]:
-        """The same for the logger."""
-        return {**self.counted(), "log_pbar": False}
-
     def register(self, trainer: Trainer, name: str = "backtrack") -> None:
-        """Registers at ``pre_steps_log``; episodes come from ``EpisodeHook``."""
+        """Registers for the checkpoint only; episodes come from ``EpisodeHook``."""
         trainer.register_module(name, self)
-        trainer.register_op("pre_steps_log", self.log)
 
     def state_dict(self) -> dict[str, Any]:
         """The windows, and both sets of weights by the module's place."""

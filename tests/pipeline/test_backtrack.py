@@ -130,7 +130,20 @@ def test_state_survives():
     offer(second.hook, "x")
     assert second.value == 0.0
     assert second.hook.count == 1
-    assert second.hook.state_dict()["candidate"]["0"]["weight"].item() == 0.0
+    third = Weight(level=0.07)
+    third.hook.load_state_dict(second.hook.state_dict())
+    assert third.hook.count == 1
+
+
+def test_the_weights_that_a_window_began_with_survive():
+    first, second = Weight(level=0.07), Weight(level=0.07)
+    first.set(1.0)
+    offer(first.hook, "oo")  # the next window begins with 1
+    second.set(7.0)
+    second.hook.load_state_dict(first.hook.state_dict())
+    offer(second.hook, "oo")
+    offer(second.hook, "xx")
+    assert second.value == 1.0
 
 
 @pytest.mark.parametrize(

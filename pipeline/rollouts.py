@@ -1,4 +1,4 @@
-"""Demonstrations from another model's rollouts (ILD; paper, section III-E.1)."""
+"""Whole episodes of a policy; those of another model become demonstrations (ILD; III-E.1)."""
 
 from __future__ import annotations
 
