@@ -59,9 +59,14 @@ class StableBaselines:
 
 
 def make_stable_baselines(
-    package: str, width: int, batch: int, replay_rows: int, gradient_steps: int
+    package: str,
+    width: int,
+    batch: int,
+    replay_rows: int,
+    gradient_steps: int,
+    device: str = "cpu",
 ) -> StableBaselines:
-    """SAC of ``package`` (``stable_baselines3`` or ``sbx``)."""
+    """SAC of ``package`` (``stable_baselines3`` or ``sbx``, which takes the device JAX chooses)."""
     # Only here: the rest of this module must load without the extra `bench`.
     from stable_baselines3.common.logger import Logger  # noqa: PLC0415
 
@@ -77,7 +82,7 @@ def make_stable_baselines(
         batch_size=batch,
         policy_kwargs={"net_arch": [width, width]},
         seed=0,
-        device="cpu",
+        device=device,
     )
     return StableBaselines(model, Logger(folder=None, output_formats=[]), batch, gradient_steps)
 
@@ -120,7 +125,9 @@ def make_torchrl_critic(width: int, *, layer_norm: bool = False) -> ValueOperato
     return ValueOperator(body, in_keys=["action", "observation"])
 
 
-def make_torchrl_buffer(rows: int, batch: int, *, prefetch: int | None) -> TensorDictReplayBuffer:
+def make_torchrl_buffer(
+    rows: int, batch: int, *, prefetch: int | None, device: str = "cpu"
+) -> TensorDictReplayBuffer:
     """A filled replay buffer of transitions with the keys that torchrl's losses read."""
     flag = torch.zeros(rows, 1, dtype=torch.bool)
     content = TensorDict(
@@ -137,7 +144,7 @@ def make_torchrl_buffer(rows: int, batch: int, *, prefetch: int | None) -> Tenso
         batch_size=[rows],
     )
     buffer = TensorDictReplayBuffer(
-        storage=LazyTensorStorage(rows), batch_size=batch, prefetch=prefetch
+        storage=LazyTensorStorage(rows, device=device), batch_size=batch, prefetch=prefetch
     )
     buffer.extend(content)
     return buffer
@@ -148,17 +155,18 @@ class TorchRLSAC:
 
     units = 1.0
 
-    def __init__(self, width: int, batch: int, replay_rows: int) -> None:
+    def __init__(self, width: int, batch: int, replay_rows: int, device: str = "cpu") -> None:
         torch.manual_seed(0)
         self.loss = SACLoss(
-            make_torchrl_actor(width),
-            make_torchrl_critic(width),
+            make_torchrl_actor(width).to(device),
+            make_torchrl_critic(width).to(device),
             num_qvalue_nets=2,
             loss_function="l2",
             delay_actor=False,
             delay_qvalue=True,
         )
         self.loss.make_value_estimator(gamma=0.99)
+        self.loss.to(device)
         self.target = SoftUpdate(self.loss, tau=TAU)
         adams = [
             torch.optim.Adam(list(parameters.flatten_keys().values()), lr=LEARNING_RATE)
@@ -166,7 +174,8 @@ class TorchRLSAC:
         ]
         adams.append(torch.optim.Adam([self.loss.log_alpha], lr=LEARNING_RATE))
         self.optimizer = group_optimizers(*adams)
-        self.buffer = make_torchrl_buffer(replay_rows, batch, prefetch=3)
+        self.buffer = make_torchrl_buffer(replay_rows, batch, prefetch=3, device=device)
+        self.device = torch.device(device)
 
     def call(self) -> None:
         """Samples and updates."""
@@ -175,8 +184,15 @@ class TorchRLSAC:
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
         self.target.step()
+        finish(self.device)
 
 
-def make_torchrl_sac(width: int, batch: int, replay_rows: int) -> TorchRLSAC:
+def make_torchrl_sac(width: int, batch: int, replay_rows: int, device: str = "cpu") -> TorchRLSAC:
     """The SAC of torchrl's recipe at a size."""
-    return TorchRLSAC(width, batch, replay_rows)
+    return TorchRLSAC(width, batch, replay_rows, device)
+
+
+def finish(device: torch.device) -> None:
+    """Wait until ``device`` has done what it was given: a processor has."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)

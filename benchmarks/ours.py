@@ -11,12 +11,13 @@ from collections.abc import Sequence
 import torch
 from tensordict import TensorDict
 
+from benchmarks.baselines import finish
 from configs import compose_config
 from configs.schema import Config
 from envs.door.task import ACTION_SIZE, OBSERVATION_SIZE
 from pipeline import components
 from pipeline.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
-from pipeline.compute import hidden_dtype, resolve_compute
+from pipeline.compute import hidden_dtype, replays_updates, resolve_compute
 from pipeline.hooks import DemoUpdateHook
 from pipeline.mixture import DRAWS, Mixture
 from pipeline.rows import TransitionRows
@@ -51,7 +52,8 @@ def make_stepper(config: Config) -> BCSACStepper:
     critic = components.make_critic(config.critic, env, None, config.device, dtype)
     env.close()
     updates = components.actor_updates(config)
-    loss = components.make_loss(config.loss, actor, critic, ACTION_SIZE, updates)
+    rows = config.sampler.batch_size
+    loss = components.make_loss(config.loss, actor, critic, ACTION_SIZE, updates, main_rows=rows)
     optim = config.optim
     return BCSACStepper(
         loss,
@@ -66,6 +68,7 @@ def make_stepper(config: Config) -> BCSACStepper:
         ),
         bc_gradient_ratio=config.loss.bc_gradient_ratio,
         max_grad_norm=optim.max_grad_norm,
+        cuda_graphs=replays_updates(config),
     )
 
 
@@ -111,7 +114,9 @@ class Updater:
         main = make_buffer(replay_rows, config.device)
         for first in range(0, replay_rows, CHUNK):
             main.extend(random_rows(min(CHUNK, replay_rows - first), to_rows))
-        demos = DemonstrationDistribution(make_core_buffer(random_rows(demo_rows, to_rows)))
+        demos = DemonstrationDistribution(
+            make_core_buffer(random_rows(demo_rows, to_rows), config.device)
+        )
         rows = config.sampler.batch_size
         self.mixture = Mixture(
             main,
@@ -141,6 +146,7 @@ class Updater:
             self.stepper.step(None, self.mixture(collected))
             if self.demo_update is not None:
                 self.demo_update()
+        finish(self.mixture.device)
 
 
 def make_updater(

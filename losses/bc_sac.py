@@ -78,6 +78,8 @@ class BCSACLoss(LossModule):
             (arXiv:1802.09477, without the smoothing), which has no entropy to pay for.
         entropy_in_target: whether the backup carries the entropy bonus.
         rl_on_demos: whether the reinforcement terms use the demonstration rows too.
+        main_rows: rows before the demonstrations in every batch with marks, where all are built
+            alike; ``None`` counts them each time, for which an accelerator's host must wait.
         q_filter: whether :meth:`actor_terms` imitates only the demonstrated actions that the
             critics value above the policy's own mean action (arXiv:1709.10089, section V-C).
         tau: share of the critic that one :meth:`update_target` moves into the target, in [0, 1].
@@ -132,6 +134,7 @@ class BCSACLoss(LossModule):
         target_action: Literal["sample", "mean"] = "sample",
         entropy_in_target: bool = True,
         rl_on_demos: bool = False,
+        main_rows: int | None = None,
         q_filter: bool = False,
         tau: float = 0.005,
         loss_function: F.CriticDistance = "l2",
@@ -152,6 +155,7 @@ class BCSACLoss(LossModule):
             not (entropy_in_target and target_action == "mean"),
             "False with target_action='mean', which has no density",
         )
+        _require("main_rows", main_rows, main_rows is None or main_rows >= 1, "None or >= 1")
         _require("actor", actor.in_keys, len(actor.in_keys) == 1, "a policy with one input key")
 
         self.actor = actor
@@ -170,6 +174,7 @@ class BCSACLoss(LossModule):
         self.target_action = target_action
         self.entropy_in_target = entropy_in_target
         self.rl_on_demos = rl_on_demos
+        self.main_rows = main_rows
         self.q_filter = q_filter
         self.loss_function = loss_function
         # A Python number, not a buffer: on an accelerator, reading one would be a wait per update.
@@ -412,8 +417,8 @@ class BCSACLoss(LossModule):
 
         Where the demonstrations come last, as in the pipeline's batches, it is a slice: a view in
         place of a copy of every entry. Counting makes an accelerator's host wait, once: the price
-        of not running the critics on rows that do not count. With ``rl_on_demos`` there is nothing
-        to count.
+        of not running the critics on rows that do not count. With ``rl_on_demos`` or ``main_rows``
+        there is nothing to count.
 
         Raises:
             ValueError: if there are no such rows.
@@ -421,6 +426,8 @@ class BCSACLoss(LossModule):
         is_demo = self._is_demo(tensordict)
         if self.rl_on_demos or is_demo is None:
             return None
+        if self.main_rows is not None:
+            return slice(self.main_rows)
         others = is_demo.logical_not()
         count, first_demo = torch.stack([others.sum(), is_demo.int().argmax()]).tolist()
         if count == 0:

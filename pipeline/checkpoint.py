@@ -46,14 +46,15 @@ class BufferAdapter(CheckpointAdapter):
         """Writes the rows and the writer's state below ``path``."""
         path.mkdir(parents=True, exist_ok=True)
         if len(component) > 0:
-            component[:].memmap(path / self.rows, copy_existing=True)
+            component[:].cpu().memmap(path / self.rows, copy_existing=True)
         (path / self.writer).write_text(json.dumps(component.writer.state_dict()))
 
     def load(self, component: ReplayBuffer, path: Path, **_options: Any) -> None:
         """Replaces what ``component`` holds."""
         component.empty()
         if (path / self.rows).is_dir():
-            component.extend(TensorDict.load_memmap(path / self.rows))
+            rows = TensorDict.load_memmap(path / self.rows)
+            component.extend(rows.to(component.storage.device))
         # In a ring that is larger than the saved one, the next row goes behind the last.
         if len(component) == component.storage.max_size:
             component.writer.load_state_dict(json.loads((path / self.writer).read_text()))
@@ -98,7 +99,8 @@ class CollectorState:
         if resumes_midway(self.collector.env):
             self.collector.env.load_state_dict(state["env"])
             carrier = self.collector._carrier
-            carrier.update(TensorDict(state["carrier"], batch_size=carrier.batch_size))
+            saved = TensorDict(state["carrier"], carrier.batch_size, device=carrier.device)
+            carrier.update(saved)
 
 
 def make_checkpoint(policy: nn.Module, collector_state: Any) -> Checkpoint:

@@ -6,7 +6,6 @@ import hashlib
 import json
 from pathlib import Path
 
-import torch
 from filelock import FileLock
 from omegaconf import OmegaConf
 from torchrl.modules import ProbabilisticActor
@@ -22,7 +21,7 @@ from pipeline.checkpoint import (
     make_rotation,
 )
 from pipeline.components import Demonstrations
-from pipeline.compute import hidden_dtype
+from pipeline.compute import hidden_dtype, kept_random_state, replays_updates
 from pipeline.mixture import DRAWS, Mixture
 from pipeline.offline import OfflineStream
 from pipeline.run_dir import create_run_dir
@@ -71,6 +70,7 @@ def build_offline(
             loss,
             actor_lr=config.bc.lr,
             anneal_updates=updates if config.bc.anneal else None,
+            cuda_graphs=replays_updates(config),
         ),
     )
     trainer.register_op("process_optim_batch", time_use.timed(mixture, "sample"))
@@ -115,9 +115,8 @@ def behaviour_cloned(
     complete = run_dir / "complete"
     bc_config.run_dir = str(run_dir)
     run_dir.parent.mkdir(parents=True, exist_ok=True)
-    rng = torch.random.get_rng_state()
     # Runs that start together (a sweep over variants) want the same model: one trains it.
-    with FileLock(f"{run_dir}.lock"):
+    with kept_random_state(config.device), FileLock(f"{run_dir}.lock"):
         if not run_dir.exists():
             create_run_dir(run_dir, bc_config)
         seed_everything(config.seed)
@@ -130,5 +129,4 @@ def behaviour_cloned(
                 load_trainer(checkpoint, run.trainer)
             run.train()
             complete.touch()
-    torch.random.set_rng_state(rng)
     return run.actor

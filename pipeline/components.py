@@ -178,6 +178,7 @@ def make_loss(
     critic: BatchedCritics,
     action_size: int,
     updates: int,
+    main_rows: int | None = None,
 ) -> BCSACLoss:
     """BCSACLoss with the configured terms.
 
@@ -187,6 +188,7 @@ def make_loss(
         critic: Ensemble.
         action_size: Dimensions of an action.
         updates: Of the actor in the whole run, over which a weight without ``duration`` moves.
+        main_rows: Of each batch, before its demonstrations.
     """
     # A dataclass when composed in Python, a DictConfig when composed by Hydra.
     weight = OmegaConf.to_container(OmegaConf.create(cast(Any, loss.bc_weight)), resolve=True)
@@ -208,6 +210,7 @@ def make_loss(
         target_action=loss.target_action,  # type: ignore[arg-type]  # OmegaConf has no Literal
         entropy_in_target=loss.entropy_in_target,
         rl_on_demos=loss.rl_on_demos,
+        main_rows=main_rows,
         q_filter=loss.q_filter,
         tau=loss.tau,
     )

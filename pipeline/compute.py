@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import psutil
@@ -64,6 +65,29 @@ def resolve_compute(config: Config, clock: Clock | None = None) -> Config:
 def hidden_dtype(config: Config) -> torch.dtype | None:
     """The precision of the hidden layers of a decided configuration."""
     return PRECISIONS[config.precision]
+
+
+def replays_updates(config: Config) -> bool:
+    """Whether the run's updates are CUDA graphs: on such a device, unless it is told not to.
+
+    Raises:
+        ValueError: If it is told to on another device.
+    """
+    on_cuda = torch.device(config.device).type == "cuda"
+    if config.cuda_graphs and not on_cuda:
+        raise ValueError(
+            f"cuda_graphs=true needs a CUDA device, and device is {config.device}: "
+            "set device=cuda, or leave cuda_graphs=null."
+        )
+    return on_cuda if config.cuda_graphs is None else config.cuda_graphs
+
+
+@contextmanager
+def kept_random_state(device: torch.device | str) -> Iterator[None]:
+    """Leaves torch's random state as it was, that of ``device`` included."""
+    on_cuda = torch.device(device).type == "cuda"
+    with torch.random.fork_rng(devices=[device] if on_cuda else []):
+        yield
 
 
 def _fastest_threads(clock: Clock) -> int:

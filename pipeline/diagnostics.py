@@ -37,8 +37,9 @@ class DemonstrationProbe:
         limit: int = PROBE_ROWS,
     ) -> None:
         self.loss = loss
-        self.training = _marked(training, limit)
-        self.held_out = None if held_out is None else _marked(held_out, limit)
+        device = loss.log_alpha.device
+        self.training = _marked(training.to(device), limit)
+        self.held_out = None if held_out is None else _marked(held_out.to(device), limit)
 
     @torch.no_grad()
     def __call__(self) -> dict[str, float]:

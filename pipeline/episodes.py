@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import tensordict
+import torch
 from tensordict import TensorDict, TensorDictBase
 
 
@@ -40,9 +41,13 @@ class EpisodeAssembler:
     """Joins the pieces of each environment's trajectory until the episode is done.
 
     Batches [N, T] cut episodes anywhere; row i of the next batch goes on where row i of this ended.
+
+    Args:
+        device: Of the batches; what is restored from a checkpoint goes there.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, device: torch.device | str | None = None) -> None:
+        self.device = device
         self._open: dict[int, list[TensorDictBase]] = {}
 
     def __call__(self, batch: TensorDictBase) -> list[FinishedEpisode]:
@@ -67,6 +72,6 @@ class EpisodeAssembler:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""
         self._open = {
-            int(i): [TensorDict(entries, batch_size=[entries["action"].shape[0]])]
+            int(i): [TensorDict(entries, [entries["action"].shape[0]], device=self.device)]
             for i, entries in state.items()
         }

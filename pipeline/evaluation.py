@@ -19,6 +19,7 @@ from envs import DoorEnv, make_env
 from envs.door.metrics import DoorMetrics, summarise
 from envs.door.starts import door_position
 from envs.door.task import LATCH, PALM_TO_HANDLE
+from pipeline.compute import kept_random_state
 from pipeline.exploration import require_noise_scale, with_noise
 
 Exploration = Literal["mean", "sample"]
@@ -168,7 +169,7 @@ class Evaluator:
         policy.eval()
         try:
             with (
-                torch.random.fork_rng(devices=[]),
+                kept_random_state(self.device),
                 torch.no_grad(),
                 one_torch_thread(),
                 set_exploration_type(EXPLORATION[self.exploration]),
@@ -203,9 +204,8 @@ def door_starts(env: EnvBase, seed: int, first: int) -> TensorDict | None:
     if not isinstance(env, DoorEnv):
         return None
     positions = np.stack([door_position(seed, first + i, 0) for i in range(env.num_doors)])
-    return TensorDict(
-        {"door_position": torch.as_tensor(positions, device=env.device)}, env.batch_size
-    )
+    start = {"door_position": torch.as_tensor(positions)}
+    return TensorDict(start, env.batch_size, device=env.device)
 
 
 def run_wave(

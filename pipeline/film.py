@@ -53,7 +53,7 @@ def film(run_dir: Path, out: Path, episodes: int) -> None:
             for i in range(episodes):
                 position = np.atleast_2d(door_position(config.evaluation.seed, i, 0))
                 start = {"door_position": torch.as_tensor(position, device=env.device)}
-                td = env.reset(TensorDict(start, env.batch_size))
+                td = env.reset(TensorDict(start, env.batch_size, device=env.device))
                 step = 0
                 while not td["done"].any():
                     if step % STRIDE == 0:

@@ -14,7 +14,7 @@ from pipeline.buffers import make_buffer
 from pipeline.checkpoint import CollectorState, make_checkpoint, resumes_midway
 from pipeline.cloning import behaviour_cloned
 from pipeline.components import Demonstrations
-from pipeline.compute import hidden_dtype
+from pipeline.compute import hidden_dtype, replays_updates
 from pipeline.diagnostics import DemonstrationProbe, TrainingState
 from pipeline.exploration import PartlyGreedyPolicy
 from pipeline.growth import demonstration_distribution, register_growth, require_growth
@@ -46,14 +46,15 @@ def build_online(
     normalizer = components.make_normalizer(config.critic, demos)
     critic = components.make_critic(config.critic, env, normalizer, device, dtype)
     updates = components.actor_updates(config)
-    loss = components.make_loss(config.loss, actor, critic, env.action_spec.shape[-1], updates)
+    rows = config.sampler.batch_size
+    actions = env.action_spec.shape[-1]
+    loss = components.make_loss(config.loss, actor, critic, actions, updates, main_rows=rows)
     if config.pretrain:
         actor.load_state_dict(behaviour_cloned(config, demos, time_use).state_dict())
 
     to_rows = components.make_rows(config)
     main = make_buffer(_capacity(config), device)
     grown, distribution = demonstration_distribution(config, demos, to_rows, time_use)
-    rows = config.sampler.batch_size
     mixture = Mixture(
         main,
         distribution,
@@ -76,6 +77,7 @@ def build_online(
         bc_gradient_ratio=config.loss.bc_gradient_ratio,
         max_grad_norm=config.optim.max_grad_norm,
         anneal_updates=updates if config.optim.anneal_actor else None,
+        cuda_graphs=replays_updates(config),
     )
     average = None
     if config.optim.actor_average is not None:
@@ -113,7 +115,9 @@ def build_online(
     for hook in backtracking:
         hook.register(trainer)
     harvests = register_growth(config, grown, to_rows, trainer)
-    episodes = EpisodeHook(*harvests, *backtracking, resumes_midway=resumes_midway(env))
+    episodes = EpisodeHook(
+        *harvests, *backtracking, resumes_midway=resumes_midway(env), device=device
+    )
     episodes.register(trainer)
     store = StoreHook(main, to_rows)
     time_use.watch(store, "store", "store")

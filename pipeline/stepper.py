@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -13,6 +14,8 @@ from torch.optim.lr_scheduler import ConstantLR, LambdaLR, LRScheduler
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from losses import BCSACLoss, CosineWeight
+from losses.terms import ActorTerms
+from pipeline.cuda_graphs import CudaGraphs, Update, set_capturable
 
 METRICS = (
     "loss_qvalue",
@@ -48,6 +51,18 @@ class StepRhythm:
             raise ValueError(f"optim.actor_delay must not be negative, got {self.actor_delay}.")
 
 
+@dataclass(frozen=True)
+class StepParts:
+    """What one step consists of besides the critics' update."""
+
+    actor: bool
+    """Whether actor and temperature are updated."""
+    by_terms: bool
+    """Whether the actor's two gradients are taken apart."""
+    target: bool
+    """Whether the target critics move."""
+
+
 class BCSACStepper(OptimizationStepper):
     """One step: critic, then actor and temperature, then target network.
 
@@ -67,6 +82,8 @@ class BCSACStepper(OptimizationStepper):
         max_grad_norm: Clips the norm of the actor's and the critic's gradient; None leaves them.
         anneal_updates: Actor updates over which a cosine takes the actor's rate to zero; None
             keeps it constant.
+        cuda_graphs: Whether to replay updates as CUDA graphs. Networks and batches are on a GPU
+            then, and without ``loss.rl_on_demos`` the loss must know its ``main_rows``.
     """
 
     def __init__(
@@ -80,6 +97,7 @@ class BCSACStepper(OptimizationStepper):
         bc_gradient_ratio: float | None = None,
         max_grad_norm: float | None = None,
         anneal_updates: int | None = None,
+        cuda_graphs: bool = False,
     ) -> None:
         self.loss = loss
         self.rhythm = rhythm if rhythm is not None else StepRhythm()
@@ -94,59 +112,87 @@ class BCSACStepper(OptimizationStepper):
         self.annealing = _annealing(self.optimizers["actor"], anneal_updates)
         self.critic_updates = 0
         self.last: dict[str, Tensor] = {}
+        # A tensor, which a recorded update reads again each time.
+        self._weight = torch.zeros((), device=loss.log_alpha.device)
+        self._cuda_graphs = cuda_graphs
+        self._prepare_optimizers()
+        self._updates: dict[StepParts, Update] = {}
 
     def step(self, _trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
         """Updates on one batch; returns the detached scalars of ``METRICS``."""
-        self._critic_step(sub_batch)
+        self._weight.fill_(self.loss.current_bc_weight * (self.bc_gradient_ratio or 1.0))
+        parts = self._parts_due()
+        if parts not in self._updates:
+            self._updates[parts] = _recorded(partial(self._learn, parts), self._cuda_graphs)
+        self.last.update(self._updates[parts](sub_batch))
         self.critic_updates += 1
-        after_delay = self.critic_updates - self.rhythm.actor_delay
-        if after_delay > 0 and after_delay % self.rhythm.actor_period == 0:
-            self._actor_step(sub_batch)
-        if self.critic_updates % self.rhythm.target_period == 0:
-            self.loss.update_target()
+        if parts.actor:
+            self.annealing.step()
+            self.loss.advance()
         device = sub_batch.device
         nan = torch.full((), float("nan"), device=device)
         return TensorDict({key: self.last.get(key, nan) for key in METRICS}, device=device)
 
-    def _critic_step(self, batch: TensorDictBase) -> None:
+    def _parts_due(self) -> StepParts:
+        rhythm = self.rhythm
+        updates = self.critic_updates + 1
+        after_delay = updates - rhythm.actor_delay
+        actor = after_delay > 0 and after_delay % rhythm.actor_period == 0
+        diagnose = self.loss.updates % rhythm.diagnostics_period == 0
+        return StepParts(
+            actor=actor,
+            by_terms=actor and (diagnose or self.bc_gradient_ratio is not None),
+            target=updates % rhythm.target_period == 0,
+        )
+
+    def _learn(self, parts: StepParts, batch: TensorDictBase) -> dict[str, Tensor]:
+        found = self._learn_critic(batch)
+        if parts.actor:
+            found |= self._learn_actor(batch, by_terms=parts.by_terms)
+        if parts.target:
+            self.loss.update_target()
+        return found
+
+    def _learn_critic(self, batch: TensorDictBase) -> dict[str, Tensor]:
         terms = self.loss.critic_terms(batch)
         self.optimizers["critic"].zero_grad()
         terms.loss.backward()
         self._clip(self.loss.critic.parameters())
         self.optimizers["critic"].step()
-        self.last.update(loss_qvalue=terms.loss.detach(), q_data=terms.q.mean())
+        return {"loss_qvalue": terms.loss.detach(), "q_data": terms.q.mean()}
 
-    def _actor_step(self, batch: TensorDictBase) -> None:
+    def _learn_actor(self, batch: TensorDictBase, *, by_terms: bool) -> dict[str, Tensor]:
+        """Takes the gradients of the two terms apart, to measure or to scale them, or together."""
         terms = self.loss.actor_terms(batch)
-        weight: float | Tensor = self.loss.current_bc_weight
-        diagnose = self.loss.updates % self.rhythm.diagnostics_period == 0
-        if terms.bc.requires_grad and (self.bc_gradient_ratio is not None or diagnose):
-            g_rl = torch.autograd.grad(terms.rl, self.actor_parameters, retain_graph=True)
-            g_bc = torch.autograd.grad(terms.bc, self.actor_parameters)
-            norm_rl, norm_bc = _norm(g_rl), _norm(g_bc)
-            if self.bc_gradient_ratio is not None:
-                weight = weight * self.bc_gradient_ratio * norm_rl / norm_bc.clamp_min(1e-12)
-            for parameter, rl, bc in zip(self.actor_parameters, g_rl, g_bc, strict=True):
-                parameter.grad = rl + weight * bc
-            cosine = _dot(g_rl, g_bc) / (norm_rl * norm_bc).clamp_min(1e-12)
-            self.last.update(grad_norm_rl=norm_rl, grad_norm_bc=norm_bc, grad_cosine=cosine)
-        else:
+        if not (by_terms and terms.bc.requires_grad):
             self.optimizers["actor"].zero_grad()
-            (terms.rl + weight * terms.bc).backward()
+            (terms.rl + self._weight * terms.bc).backward()
+            return self._finish_actor(terms, self._weight.clone())
+        g_rl = torch.autograd.grad(terms.rl, self.actor_parameters, retain_graph=True)
+        g_bc = torch.autograd.grad(terms.bc, self.actor_parameters)
+        norm_rl, norm_bc = _norm(g_rl), _norm(g_bc)
+        weight = self._weight.clone()
+        if self.bc_gradient_ratio is not None:
+            weight = weight * norm_rl / norm_bc.clamp_min(1e-12)
+        for parameter, rl, bc in zip(self.actor_parameters, g_rl, g_bc, strict=True):
+            parameter.grad = rl + weight * bc
+        cosine = _dot(g_rl, g_bc) / (norm_rl * norm_bc).clamp_min(1e-12)
+        gradients = {"grad_norm_rl": norm_rl, "grad_norm_bc": norm_bc, "grad_cosine": cosine}
+        return gradients | self._finish_actor(terms, weight)
+
+    def _finish_actor(self, terms: ActorTerms, weight: Tensor) -> dict[str, Tensor]:
         self._clip(self.actor_parameters)
         alpha_loss = self._temperature_gradient(terms.log_prob)
         self.optimizers["actor"].step()
-        self.annealing.step()
-        self.last.update(
-            loss_actor=terms.rl.detach(),
-            loss_alpha=alpha_loss,
-            bc_nll=terms.bc.detach(),
-            bc_weight=torch.as_tensor(weight, dtype=torch.float32, device=alpha_loss.device),
-            alpha=self.loss.alpha,
-            entropy=-terms.log_prob.mean(),
-            q_policy=terms.q.mean(),
-        )
-        self.loss.advance()
+        return {
+            "loss_actor": terms.rl.detach(),
+            "loss_alpha": alpha_loss,
+            "bc_nll": terms.bc.detach(),
+            "bc_weight": weight,
+            "alpha": self.loss.alpha,
+            "entropy": -terms.log_prob.mean(),
+            "q_policy": terms.q.mean(),
+        }
 
     def _temperature_gradient(self, log_prob: Tensor) -> Tensor:
         loss = self.loss.alpha_loss(log_prob)
@@ -171,9 +217,14 @@ class BCSACStepper(OptimizationStepper):
         """Restores what :meth:`state_dict` gave."""
         for name, optimizer in self.optimizers.items():
             optimizer.load_state_dict(state["optimizers"][name])
+        self._prepare_optimizers()
         self.annealing.load_state_dict(state["annealing"])
         self.critic_updates = state["critic_updates"]
-        self.last = dict(state["last"])
+        self.last = {key: value.to(self._weight.device) for key, value in state["last"].items()}
+
+    def _prepare_optimizers(self) -> None:
+        for optimizer in self.optimizers.values():
+            set_capturable(optimizer, self._cuda_graphs)
 
 
 class ImitationStepper(OptimizationStepper):
@@ -185,23 +236,37 @@ class ImitationStepper(OptimizationStepper):
         anneal_updates: Updates over which a cosine takes the rate to zero; None keeps it constant.
             The closed-loop success of a constant rate wanders from checkpoint to checkpoint while
             the loss hardly moves; an annealed run ends where the wandering has died down.
+        cuda_graphs: Whether to replay updates as CUDA graphs; networks and batches are on a GPU
+            then.
     """
 
     def __init__(
-        self, loss: BCSACLoss, *, actor_lr: float, anneal_updates: int | None = None
+        self,
+        loss: BCSACLoss,
+        *,
+        actor_lr: float,
+        anneal_updates: int | None = None,
+        cuda_graphs: bool = False,
     ) -> None:
         self.loss = loss
         self.optimizer = _adam([(loss.actor.parameters(), actor_lr)])
         self.annealing = _annealing(self.optimizer, anneal_updates)
+        self._cuda_graphs = cuda_graphs
+        set_capturable(self.optimizer, cuda_graphs)
+        self._update = _recorded(self._learn, cuda_graphs)
 
     def step(self, _trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
         """Updates on one batch of demonstration rows; returns ``loss_bc``."""
-        loss = self.loss.bc_loss(sub_batch)
+        found = self._update(sub_batch)
+        self.annealing.step()
+        return TensorDict(found, device=sub_batch.device)
+
+    def _learn(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        loss = self.loss.bc_loss(batch)
         self.optimizer.zero_grad()
         loss.backward()
         self.optimizer.step()
-        self.annealing.step()
-        return TensorDict({"loss_bc": loss.detach()}, device=sub_batch.device)
+        return {"loss_bc": loss.detach()}
 
     def state_dict(self) -> dict[str, Any]:
         """Optimizer moments."""
@@ -213,7 +278,12 @@ class ImitationStepper(OptimizationStepper):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""
         self.optimizer.load_state_dict(state["optimizer"])
+        set_capturable(self.optimizer, self._cuda_graphs)
         self.annealing.load_state_dict(state["annealing"])
+
+
+def _recorded(update: Update, cuda_graphs: bool) -> Update:
+    return CudaGraphs(update) if cuda_graphs else update
 
 
 def _adam(groups: Iterable[tuple[Iterable[nn.Parameter], float]]) -> torch.optim.Adam:

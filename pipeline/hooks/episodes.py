@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import torch
 from tensordict import TensorDictBase
 from torchrl.trainers import Trainer, TrainerHookBase
 
@@ -25,12 +26,16 @@ class EpisodeHook(TrainerHookBase):
             the other: SID's harvest, backtracking.
         resumes_midway: Whether a resumed run continues the episodes that were open; if it starts
             fresh ones, their beginnings are not saved.
+        device: Of the collected batches.
     """
 
     def __init__(
-        self, *consumers: Callable[[FinishedEpisode, int], None], resumes_midway: bool = True
+        self,
+        *consumers: Callable[[FinishedEpisode, int], None],
+        resumes_midway: bool = True,
+        device: torch.device | str | None = None,
     ) -> None:
-        self.assembler = EpisodeAssembler()
+        self.assembler = EpisodeAssembler(device)
         self.resumes_midway = resumes_midway
         self.consumers = consumers
         self.returns: deque[float] = deque(maxlen=WINDOW)

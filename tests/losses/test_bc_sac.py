@@ -204,6 +204,19 @@ def test_rows_before_the_demonstrations_are_not_copied(demo_rows: int | None) ->
     assert set(in_place(make_batch(12, 4)[torch.arange(11, -1, -1)]).values()) == {False}
 
 
+@pytest.mark.parametrize("demo_rows", [0, 4, None])
+def test_rows_that_are_known_need_no_counting(demo_rows: int | None) -> None:
+    batch = make_batch(12, demo_rows=demo_rows)
+    counted = make_loss()
+    known = make_loss(main_rows=12 - (demo_rows or 0))
+    known.load_state_dict(counted.state_dict())
+    found = []
+    for loss in (counted, known):
+        torch.manual_seed(1)
+        found.append(loss(batch))
+    assert (found[0] == found[1]).all()
+
+
 def test_a_batch_of_demonstrations_can_be_imitated_and_with_rl_on_demos_reinforced() -> None:
     batch = make_batch(6, demo_rows=6)
     loss = make_loss(rl_on_demos=True)
@@ -277,12 +290,14 @@ class CountWaits(TorchFunctionMode):
         return func(*args, **(kwargs or {}))
 
 
-@pytest.mark.parametrize(("rl_on_demos", "per_update"), [(True, 0), (False, 2)])
+@pytest.mark.parametrize(
+    ("options", "per_update"), [({"rl_on_demos": True}, 0), ({"main_rows": 8}, 0), ({}, 2)]
+)
 def test_an_update_waits_for_the_device_no_more_than_its_policies_do(
-    rl_on_demos: bool, per_update: int
+    options: dict[str, object], per_update: int
 ) -> None:
     """TanhNormal's constructor waits; beyond it, only the choice of rows may (once a network)."""
-    loss = make_loss(rl_on_demos=rl_on_demos)
+    loss = make_loss(**options)
     batch = make_batch(12, demo_rows=4)
     with CountWaits() as for_one_policy:
         loss.actor.get_dist(batch.select("observation"))
@@ -421,6 +436,7 @@ def test_critics_may_be_a_list_or_one_module() -> None:
     ("options", "message"),
     [
         ({"gamma": 1.1}, r"gamma must be in \[0, 1\], got 1.1"),
+        ({"main_rows": 0}, r"main_rows must be None or >= 1, got 0"),
         ({"tau": -0.1}, "tau must be in"),
         ({"init_temperature": 0.0}, "init_temperature must be > 0"),
         ({"action_margin": 0.0}, "action_margin must be in"),

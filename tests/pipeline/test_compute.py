@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from configs import Config, compose_config
 from pipeline import compute
 from pipeline.build import build_run
-from pipeline.compute import hidden_dtype, resolve_compute
+from pipeline.compute import hidden_dtype, replays_updates, resolve_compute
 from pipeline.run_dir import load_config
 from tests.pipeline.toys import tiny_config
 
@@ -252,3 +252,22 @@ def test_a_run_computes_in_the_precision_it_was_given(
         assert hidden_layers_of(run) == {expected}
     assert all(parameter.isfinite().all() for parameter in run.actor.parameters())
     assert {parameter.dtype for parameter in run.actor.parameters()} == {FP32}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        ([], False),
+        (["cuda_graphs=false"], False),
+        (["device=cuda"], True),
+        (["device='cuda:1'", "cuda_graphs=true"], True),
+        (["device=cuda", "cuda_graphs=false"], False),
+    ],
+)
+def test_updates_are_replayed_on_cuda_unless_told_otherwise(overrides: list[str], expected: bool):
+    assert replays_updates(open_config(*overrides)) is expected
+
+
+def test_no_other_device_replays_updates():
+    with pytest.raises(ValueError, match=r"cuda_graphs=true needs .* device is cpu: set device"):
+        replays_updates(open_config("cuda_graphs=true"))

@@ -70,6 +70,12 @@ def test_a_probe_looks_at_few_rows_and_changes_nothing():
     assert all(parameter.grad is None for parameter in loss.parameters())
 
 
+def test_a_probe_s_rows_are_where_the_networks_are():
+    probe = DemonstrationProbe(make_loss().to("meta"), rows(6, 0.5), rows(4, 0.5))
+    for part in (probe.training, probe.held_out):
+        assert {value.device.type for value in part.values()} == {"meta"}
+
+
 def test_the_training_state_leaves_out_what_was_never_computed():
     stepper = BCSACStepper(make_loss(), actor_lr=1e-3, critic_lr=1e-3, temperature_lr=1e-3)
     assert TrainingState(stepper)() == {

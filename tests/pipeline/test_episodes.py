@@ -80,6 +80,14 @@ def test_an_assembler_goes_on_from_its_state(stream, data: st.DataObject):
     assert seen(episodes) == sorted(whole)
 
 
+def test_what_is_restored_goes_to_the_device_of_the_batches():
+    before, after = EpisodeAssembler(), EpisodeAssembler("meta")
+    before(trajectory([0.0, 1.0]).unsqueeze(0))
+    after.load_state_dict(before.state_dict())
+    (pieces,) = after._open.values()
+    assert all(piece["action"].device.type == "meta" for piece in pieces)
+
+
 def test_return_and_largest_angle():
     steps = trajectory([1.0, -2.0, 4.5], truncated=[2])
     steps["next", "hinge_angle"] = torch.tensor([[0.1], [1.4], [0.7]])

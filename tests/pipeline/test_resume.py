@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 from torchrl.checkpoint import Checkpoint
 from torchrl.data import TensorDictReplayBuffer
 
-from configs import Config
 from pipeline.buffers import make_buffer
 from pipeline.build import build_run
 from pipeline.checkpoint import latest_checkpoint, load_component, make_checkpoint
@@ -21,91 +18,16 @@ from pipeline.evaluate_run import evaluate_run
 from pipeline.policy import load_policy
 from pipeline.run_dir import load_config
 from pipeline.trainer import Run
+from tests.pipeline.resuming import (
+    HALF,
+    WHOLE,
+    curve_of,
+    differences,
+    everything,
+    interrupted,
+    long_config,
+)
 from tests.pipeline.toys import tagged_rows, tiny_config
-
-HALF, WHOLE = 400, 800
-
-
-def long_config(folder: Path, demos: Path, *overrides: str) -> Config:
-    """Self-imitation, 3-step returns; episodes of 30 steps, cut by batches of 25 per door."""
-    return tiny_config(
-        "sid_dbc",
-        folder,
-        demos,
-        "env.horizon=30",
-        "loss.n_step=3",
-        f"collector.total_frames={WHOLE}",
-        "collector.frames_per_batch=50",
-        "evaluation.interval=200",
-        "optim.actor_period=2",
-        "optim.target_period=3",
-        "optim.actor_delay=3",
-        "optim.anneal_actor=true",
-        "optim.actor_average=0.9",
-        "growth.capacity=150",
-        "growth.admission.quantile=0.5",
-        "growth.admission.window=2",
-        "backtrack.level=0.02",
-        "backtrack.window=3",
-        *overrides,
-    )
-
-
-def everything(run: Run) -> dict[str, Any]:
-    """All tensors and numbers that make a run what it is."""
-    modules = run.trainer._modules
-    stepper = modules["optimization_stepper"]
-    return {
-        "policy": run.actor.state_dict(),
-        "loss": run.trainer.loss_module.state_dict(),
-        "stepper": stepper.state_dict(),
-        "main": modules["main_buffer"][:].to_dict(),
-        "grown": modules["grown_buffer"][:].to_dict(),
-        "records": modules["grown"].state_dict(),
-        "bound": modules["moving_bound"].state_dict(),
-        "episodes": modules["episodes"].state_dict(),
-        "backtrack": modules["backtrack"].state_dict(),
-        "evaluation": modules["evaluation"].state_dict(),
-        "frames": run.trainer.collected_frames,
-        "rng": torch.get_rng_state(),
-    }
-
-
-def differences(left: Any, right: Any, where: str = "") -> list[str]:
-    """Paths at which two nested states differ in a single bit."""
-    if isinstance(left, dict):
-        if set(left) != set(right):
-            return [f"{where}: {set(left) ^ set(right)}"]
-        return [
-            found for key in left for found in differences(left[key], right[key], f"{where}.{key}")
-        ]
-    if isinstance(left, (list, tuple)):
-        if len(left) != len(right):
-            return [f"{where}: {len(left)} and {len(right)} entries"]
-        pairs = zip(left, right, strict=True)
-        return [
-            found for i, pair in enumerate(pairs) for found in differences(*pair, f"{where}[{i}]")
-        ]
-    if isinstance(left, torch.Tensor):
-        equal = left.shape == right.shape and torch.equal(left.nan_to_num(-7), right.nan_to_num(-7))
-        return [] if equal else [where]
-    return [] if left == right else [where]
-
-
-def curve_of(run_dir: Path) -> list[dict[str, Any]]:
-    """The learning curve without the time it took, which is another every time."""
-    lines = (run_dir / "learning_curve.jsonl").read_text().splitlines()
-    rows = [json.loads(line) for line in lines]
-    assert all(row.pop("wall_s") > 0 for row in rows)
-    return rows
-
-
-def interrupted(config: Config) -> Run:
-    """A run that is stopped half-way, as by a power cut just after its checkpoint."""
-    run = build_run(config)
-    run.trainer.total_frames = HALF
-    run.train()
-    return run
 
 
 @pytest.fixture(scope="module")

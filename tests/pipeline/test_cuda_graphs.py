@@ -1,0 +1,169 @@
+"""Updates that are recorded and replayed are the ordinary ones.
+
+Where there is no GPU, TorchRL's graphs call what they should record, so that these tests hold the
+surroundings together; where there is one, they compare replays with eager updates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from copy import deepcopy
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from losses import BCSACLoss, LinearWeight
+from pipeline.critics import BatchedCritics
+from pipeline.cuda_graphs import CudaGraphs
+from pipeline.networks import make_actor
+from pipeline.stepper import BCSACStepper, ImitationStepper, StepRhythm
+from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
+
+pytestmark = pytest.mark.filterwarnings("ignore:This module is instantiated on a machine without")
+
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+UPDATES = 30
+MAIN_ROWS, DEMO_ROWS = 8, 4
+
+
+@pytest.fixture(autouse=True)
+def float64() -> Iterator[None]:
+    """Rounding does not grow over the updates; the recorded rates are float32 all the same."""
+    default = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(default)
+
+
+def close(found: object, expected: object) -> None:
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-7, equal_nan=True)
+
+
+def make_loss(**options) -> BCSACLoss:
+    """Networks with everything that the pipeline's can have."""
+    hidden = {"hidden_dtype": options.pop("hidden_dtype", None)}
+    actor = make_actor(OBSERVATION_SIZE, ACTION_SIZE, [16, 16], **hidden)
+    critic = BatchedCritics(OBSERVATION_SIZE, ACTION_SIZE, [16, 16], 3, layer_norm=True, **hidden)
+    return BCSACLoss(
+        actor.to(DEVICE),
+        critic.to(DEVICE),
+        target_entropy=-float(ACTION_SIZE),
+        main_rows=MAIN_ROWS,
+        # Another weight at each update: a recording must not keep that of its own.
+        bc_weight=LinearWeight(init=1.0, final=0.2, duration=UPDATES),
+        **options,
+    )
+
+
+def make_stepper(loss: BCSACLoss, *, cuda_graphs: bool, **options) -> BCSACStepper:
+    return BCSACStepper(
+        loss,
+        actor_lr=1e-3,
+        critic_lr=2e-3,
+        temperature_lr=3e-3,
+        rhythm=StepRhythm(target_period=2, diagnostics_period=3, actor_delay=2),
+        anneal_updates=UPDATES,
+        cuda_graphs=cuda_graphs,
+        **options,
+    )
+
+
+def batches(count: int) -> list[TensorDict]:
+    """Marked batches, and every fifth one without marks and of another size (DA-SAC)."""
+    sizes = [(5, None) if i % 5 == 4 else (MAIN_ROWS + DEMO_ROWS, DEMO_ROWS) for i in range(count)]
+    return [make_batch(rows, demos).to(DEVICE) for rows, demos in sizes]
+
+
+def learnt(loss: BCSACLoss, stepper, given: list[TensorDict]) -> tuple[dict, list[dict]]:
+    torch.manual_seed(3)
+    found = [stepper.step(None, batch.clone()).to_dict() for batch in given]
+    return {name: value.clone() for name, value in loss.named_parameters()}, found
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"rl_on_demos": True, "target_subset": 2},
+        {"q_filter": True},
+    ],
+)
+@pytest.mark.parametrize("training", [{}, {"bc_gradient_ratio": 0.5, "max_grad_norm": 1.0}])
+def test_replayed_updates_are_the_ordinary_ones(options: dict, training: dict):
+    plain = make_loss(**options)
+    graphs = deepcopy(plain)
+    given = batches(UPDATES)
+    expected = learnt(plain, make_stepper(plain, cuda_graphs=False, **training), given)
+    found = learnt(graphs, make_stepper(graphs, cuda_graphs=True, **training), given)
+    close(found, expected)
+    start = make_loss(**options).log_alpha
+    assert (found[0]["log_alpha"] - start).abs() > 1e-3
+
+
+def test_replayed_updates_are_the_ordinary_ones_in_bfloat16():
+    torch.set_default_dtype(torch.float32)
+    plain = make_loss(hidden_dtype=torch.bfloat16)
+    graphs = deepcopy(plain)
+    given = batches(10)
+    expected, _ = learnt(plain, make_stepper(plain, cuda_graphs=False), given)
+    found, _ = learnt(graphs, make_stepper(graphs, cuda_graphs=True), given)
+    # Ten steps of 0.001 to 0.003: a step in the wrong direction is farther away than this.
+    torch.testing.assert_close(found, expected, rtol=0, atol=5e-4)
+
+
+def test_replayed_imitation_is_the_ordinary_one():
+    plain = make_loss()
+    graphs = deepcopy(plain)
+    given = [make_batch(6, 6).to(DEVICE) for _ in range(UPDATES)]
+    options = {"actor_lr": 1e-3, "anneal_updates": UPDATES}
+    expected = learnt(plain, ImitationStepper(plain, **options), given)
+    found = learnt(graphs, ImitationStepper(graphs, cuda_graphs=True, **options), given)
+    close(found, expected)
+
+
+@pytest.mark.parametrize(("before", "after"), [(True, True), (True, False), (False, True)])
+def test_a_run_goes_on_with_or_without_recordings(before: bool, after: bool):
+    whole = make_loss()
+    halved = deepcopy(whole)
+    given = batches(UPDATES)
+    expected, _ = learnt(whole, make_stepper(whole, cuda_graphs=False), given)
+    torch.manual_seed(3)
+    first = make_stepper(halved, cuda_graphs=before)
+    for batch in given[:11]:
+        first.step(None, batch.clone())
+    state = first.state_dict()
+    # As a checkpoint brings it: on the CPU.
+    state = torch.utils._pytree.tree_map_only(Tensor, lambda t: t.detach().cpu().clone(), state)
+    second = make_stepper(halved, cuda_graphs=after)
+    second.load_state_dict(state)
+    for batch in given[11:]:
+        second.step(None, batch.clone())
+    close(dict(halved.named_parameters()), expected)
+
+
+def test_each_layout_of_batch_has_its_own_recording():
+    def count(batch: TensorDictBase) -> dict[str, Tensor]:
+        return {
+            "rows": torch.full((), float(batch.numel()), device=DEVICE),
+            "sum": batch["x"].sum(),
+        }
+
+    counted = CudaGraphs(count)
+    for _ in range(4):
+        for rows in (3, 5):
+            batch = TensorDict({"x": torch.randn(rows)}, [rows], device=DEVICE)
+            found = counted(batch)
+            assert found["rows"] == rows
+            assert found["sum"] == batch["x"].sum()
+            marked = counted(batch.set("is_demo", torch.ones(rows, 1, device=DEVICE)))
+            assert marked == found
+
+
+def test_results_are_not_overwritten_by_the_next_replay():
+    summed = CudaGraphs(lambda batch: {"sum": batch["x"].sum(), "first": batch["x"][0]})
+    given = [TensorDict({"x": torch.randn(3)}, [3], device=DEVICE) for _ in range(6)]
+    found = [summed(batch.clone()) for batch in given]
+    for batch, results in zip(given, found, strict=True):
+        assert results == {"sum": batch["x"].sum(), "first": batch["x"][0]}
