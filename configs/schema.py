@@ -87,6 +87,15 @@ class WeightConfig:
 
 
 @dataclass
+class EmphasisConfig:
+    """Door: factors on the imitation error of demonstrated steps, by how far the door is open."""
+
+    closed: float = 1.0  # up to the angle
+    open: float = 1.0
+    angle: float = 0.02  # rad
+
+
+@dataclass
 class LossConfig:
     """Terms of BCSACLoss."""
 
@@ -107,6 +116,7 @@ class LossConfig:
     action_margin: float = 1e-2  # demonstrated actions are clamped to +-(1 - action_margin)
     tau: float = 0.005
     bc_weight: WeightConfig = field(default_factory=WeightConfig)
+    bc_emphasis: EmphasisConfig = field(default_factory=EmphasisConfig)
     bc_decay: float = 0.999  # alpha that the DBC variants give to bc_weight (paper IV-C.4)
     bc_gradient_ratio: float | None = None  # if set: bc_weight(n) * ratio * |g_RL| / |g_BC|
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Literal
@@ -80,6 +80,8 @@ class BCSACLoss(LossModule):
         rl_on_demos: whether the reinforcement terms use the demonstration rows too.
         main_rows: rows before the demonstrations in every batch with marks, where all are built
             alike; ``None`` counts them each time, for which an accelerator's host must wait.
+        bc_emphasis: factors ``[B]`` on the imitation error in :meth:`actor_terms` by observation
+            ``[B, O]``, where some demonstrated steps matter more than others; ``None`` is 1.
         q_filter: whether :meth:`actor_terms` imitates only the demonstrated actions that the
             critics value above the policy's own mean action (arXiv:1709.10089, section V-C).
         tau: share of the critic that one :meth:`update_target` moves into the target, in [0, 1].
@@ -135,6 +137,7 @@ class BCSACLoss(LossModule):
         entropy_in_target: bool = True,
         rl_on_demos: bool = False,
         main_rows: int | None = None,
+        bc_emphasis: Callable[[Tensor], Tensor] | None = None,
         q_filter: bool = False,
         tau: float = 0.005,
         loss_function: F.CriticDistance = "l2",
@@ -175,6 +178,7 @@ class BCSACLoss(LossModule):
         self.entropy_in_target = entropy_in_target
         self.rl_on_demos = rl_on_demos
         self.main_rows = main_rows
+        self.bc_emphasis = bc_emphasis
         self.q_filter = q_filter
         self.loss_function = loss_function
         # A Python number, not a buffer: on an accelerator, reading one would be a wait per update.
@@ -250,8 +254,8 @@ class BCSACLoss(LossModule):
             # Sampling every row is cheap; the critics are not, so they see only rows that count.
             observation, action, log_prob = observation[rows], action[rows], log_prob[rows]
         rl, q = self._reinforcement(observation, action, log_prob)
-        worth = self._worth_imitating(policy, tensordict) if self.q_filter else None
-        return ActorTerms(rl, self._imitation(policy, tensordict, worth), log_prob.detach(), q)
+        bc = self._imitation(policy, tensordict, self._imitation_weights(policy, tensordict))
+        return ActorTerms(rl, bc, log_prob.detach(), q)
 
     def qvalue_loss(self, tensordict: TensorDictBase) -> Tensor:
         """Return the loss ``[]`` of :meth:`critic_terms`."""
@@ -265,7 +269,10 @@ class BCSACLoss(LossModule):
         return rl
 
     def bc_loss(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the unweighted imitation half ``[]`` of :meth:`actor_terms`; no critic is run."""
+        """Return the imitation error ``[]`` of all demonstration rows alike; no critic is run.
+
+        Without ``q_filter`` and ``bc_emphasis`` it is the imitation half of :meth:`actor_terms`.
+        """
         observation = tensordict[self.tensor_keys.observation]
         return self._imitation(self._policy(observation), tensordict)
 
@@ -379,11 +386,11 @@ class BCSACLoss(LossModule):
         return F.actor_objective(log_prob, q, self.alpha).mean(), q.detach()
 
     def _imitation(
-        self, policy: TanhNormal, tensordict: TensorDictBase, worth: Tensor | None = None
+        self, policy: TanhNormal, tensordict: TensorDictBase, weights: Tensor | None = None
     ) -> Tensor:
-        """Return the mean imitation error ``[]`` over the demonstration rows.
+        """Return the mean over the demonstration rows of their imitation errors ``[]``.
 
-        Rows that are not ``worth [B]`` it count as rows without an error.
+        Each is multiplied by its row's of the ``weights [B]``; the divisor is the number of rows.
         """
         action = tensordict[self.tensor_keys.action]
         is_demo = self._is_demo(tensordict)
@@ -393,9 +400,19 @@ class BCSACLoss(LossModule):
         # likelihood and its gradient explode; action_margin=1e-6, float32's limit, undoes this.
         action = F.clamp_to_support(action, self.action_margin)
         error = self._imitation_error(policy, action)
-        if worth is not None:
-            error = error.masked_fill(worth.logical_not(), 0.0)
+        if weights is not None:
+            error = error * weights
         return F.masked_mean(error, is_demo)
+
+    def _imitation_weights(self, policy: TanhNormal, tensordict: TensorDictBase) -> Tensor | None:
+        """Return the factors ``[B]`` on the rows' imitation errors, ``None`` for 1."""
+        weights = None
+        if self.bc_emphasis is not None:
+            weights = self.bc_emphasis(tensordict[self.tensor_keys.observation])
+        if self.q_filter:
+            worth = self._worth_imitating(policy, tensordict)
+            weights = worth.float() if weights is None else weights * worth
+        return weights
 
     @torch.no_grad()
     def _worth_imitating(self, policy: TanhNormal, tensordict: TensorDictBase) -> Tensor:

@@ -32,8 +32,8 @@ class ActorTerms:
 
     Attributes:
         rl: ``[]``, mean of alpha log pi - Q over the R reinforcement rows.
-        bc: ``[]``, unweighted mean imitation error over the demonstration rows. Where none is
-            marked it is 0 with zero gradient; where the batch has no marks, a constant 0.
+        bc: ``[]``, mean imitation error over the demonstration rows, not times lambda. Where none
+            is marked it is 0 with zero gradient; where the batch has no marks, a constant 0.
         log_prob: ``[R]``, log-density in nats of the sampled actions, detached.
         q: ``[R, 1]``, the critics' value of the sampled actions, detached.
     """

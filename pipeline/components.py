@@ -23,6 +23,7 @@ from envs.demonstrations import (
 from losses import BCSACLoss, make_schedule
 from pipeline.angle_bonus import AngleBonus
 from pipeline.critics import BatchedCritics
+from pipeline.emphasis import OpeningEmphasis
 from pipeline.evaluation import Evaluator
 from pipeline.networks import ObservationNormalizer, make_actor
 from pipeline.rows import TransitionRows
@@ -110,6 +111,23 @@ def make_rows(config: Config) -> TransitionRows:
     return TransitionRows(loss.gamma, loss.n_step, loss.reward_scale, bonus)
 
 
+def make_emphasis(config: Config) -> OpeningEmphasis | None:
+    """What weighs the demonstrated steps in the actor's objective; None if all count alike.
+
+    Raises:
+        ValueError: If a factor is out of range, or set for a task that has no door.
+    """
+    emphasis = config.loss.bc_emphasis
+    if emphasis.closed == emphasis.open == 1.0:
+        return None
+    if config.env.name != "door":
+        raise ValueError(
+            f"loss.bc_emphasis (closed={emphasis.closed}, open={emphasis.open}) goes by a door's "
+            f"hinge angle, which env.name={config.env.name} does not have: set both to 1."
+        )
+    return OpeningEmphasis(emphasis.closed, emphasis.open, emphasis.angle)
+
+
 def make_training_env(config: Config) -> EnvBase:
     """The batched environment of the collector."""
     return make_env(
@@ -179,6 +197,7 @@ def make_loss(
     action_size: int,
     updates: int,
     main_rows: int | None = None,
+    bc_emphasis: OpeningEmphasis | None = None,
 ) -> BCSACLoss:
     """BCSACLoss with the configured terms.
 
@@ -189,6 +208,7 @@ def make_loss(
         action_size: Dimensions of an action.
         updates: Of the actor in the whole run, over which a weight without ``duration`` moves.
         main_rows: Of each batch, before its demonstrations.
+        bc_emphasis: Of the demonstrated steps in the actor's objective.
     """
     # A dataclass when composed in Python, a DictConfig when composed by Hydra.
     weight = OmegaConf.to_container(OmegaConf.create(cast(Any, loss.bc_weight)), resolve=True)
@@ -211,6 +231,7 @@ def make_loss(
         entropy_in_target=loss.entropy_in_target,
         rl_on_demos=loss.rl_on_demos,
         main_rows=main_rows,
+        bc_emphasis=bc_emphasis,
         q_filter=loss.q_filter,
         tau=loss.tau,
     )

@@ -48,7 +48,15 @@ def build_online(
     updates = components.actor_updates(config)
     rows = config.sampler.batch_size
     actions = env.action_spec.shape[-1]
-    loss = components.make_loss(config.loss, actor, critic, actions, updates, main_rows=rows)
+    loss = components.make_loss(
+        config.loss,
+        actor,
+        critic,
+        actions,
+        updates,
+        main_rows=rows,
+        bc_emphasis=components.make_emphasis(config),
+    )
     if config.pretrain:
         actor.load_state_dict(behaviour_cloned(config, demos, time_use).state_dict())
 

@@ -608,6 +608,30 @@ def test_the_q_filter_leaves_out_demonstrations_worse_than_the_policy() -> None:
     assert loss.actor_terms(batch).bc.requires_grad
 
 
+def test_emphasis_multiplies_the_error_of_each_demonstrated_step() -> None:
+    """The mean over three demonstrations of their own errors, times 2, 0 and 0.5."""
+    factors = {0.0: 2.0, 1.0: 0.0, 2.0: 0.5}
+    batch = make_batch(5, demo_rows=3)
+    batch["observation"][-3:, 0] = torch.tensor(list(factors))
+    loss = make_loss(
+        bc_emphasis=lambda observation: torch.stack(
+            [torch.tensor(factors.get(row[0].item(), 100.0)) for row in observation]
+        )
+    )
+    errors = [loss.bc_loss(batch[row : row + 1]) for row in (2, 4)]
+    expected = (2.0 * errors[0] + 0.5 * errors[1]) / 3.0
+    torch.testing.assert_close(loss.actor_terms(batch).bc, expected)
+    torch.testing.assert_close(loss(batch)["bc_nll"], expected.detach())
+
+
+def test_emphasis_and_q_filter_both_apply() -> None:
+    batch = make_batch(6, demo_rows=6)
+    loss = make_loss(q_filter=True, rl_on_demos=True)
+    filtered = loss.actor_terms(batch).bc
+    loss.bc_emphasis = lambda observation: torch.full((len(observation),), 3.0)
+    torch.testing.assert_close(loss.actor_terms(batch).bc, 3.0 * filtered)
+
+
 def test_without_the_q_filter_every_demonstration_counts() -> None:
     loss = BCSACLoss(make_actor(), SumOfActions())
     batch = make_batch(8, 4)
