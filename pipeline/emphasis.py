@@ -15,10 +15,9 @@ from envs.door.task import HINGE
 class OpeningEmphasis:
     """Weighs the imitation of demonstrated steps before and after the door has begun to open.
 
-    Deviation: the paper imitates every step alike. How a hand gets to a handle and turns it can be
-    learned faster than it is shown and does not decide whether the door opens; what it does while
-    the door swings does (docs/results/ablations.md, section 18). ``closed=1`` and ``open=1`` undo
-    it.
+    Deviation: the paper imitates every step alike, and so does ``closed=1 open=1``, the default. A
+    hand that leaves what it was shown before the door moves is fast and slips off handles that it
+    has not turned far enough; what other factors do is in docs/results/ablations.md, section 18.
 
     Args:
         closed: Factor on the imitation error of steps up to ``angle``, >= 0.
