@@ -54,7 +54,7 @@ def build_online(
         critic,
         actions,
         updates,
-        main_rows=rows,
+        main_rows=rows or None,  # of no rows, the mixture says what is wrong
         bc_emphasis=components.make_emphasis(config),
     )
     if config.pretrain:
