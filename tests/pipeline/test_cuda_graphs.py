@@ -138,6 +138,9 @@ def test_a_run_goes_on_with_or_without_recordings(before: bool, after: bool):
     state = torch.utils._pytree.tree_map_only(Tensor, lambda t: t.detach().cpu().clone(), state)
     second = make_stepper(halved, cuda_graphs=after)
     second.load_state_dict(state)
+    groups = [group for opt in second.optimizers.values() for group in opt.param_groups]
+    assert {group["capturable"] for group in groups} == {after}
+    assert {isinstance(group["lr"], Tensor) for group in groups} == {after}
     for batch in given[11:]:
         second.step(None, batch.clone())
     close(dict(halved.named_parameters()), expected)
@@ -159,6 +162,7 @@ def test_each_layout_of_batch_has_its_own_recording():
             assert found["sum"] == batch["x"].sum()
             marked = counted(batch.set("is_demo", torch.ones(rows, 1, device=DEVICE)))
             assert marked == found
+    assert len(counted._recordings) == 4
 
 
 def test_results_are_not_overwritten_by_the_next_replay():
