@@ -22,10 +22,10 @@ from pipeline.checkpoint import (
 )
 from pipeline.components import Demonstrations
 from pipeline.compute import hidden_dtype, kept_random_state, replays_updates
+from pipeline.imitation import ImitationStepper
 from pipeline.mixture import DRAWS, Mixture
 from pipeline.offline import OfflineStream
 from pipeline.run_dir import create_run_dir
-from pipeline.stepper import ImitationStepper
 from pipeline.time_use import TimeUse
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer, seed_everything
 

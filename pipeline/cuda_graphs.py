@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -58,18 +57,6 @@ class _Recording:
         return TensorDict({"values": torch.stack(list(found.values()))})
 
 
-def set_capturable(optimizer: torch.optim.Optimizer, capturable: bool) -> None:
-    """Make an optimizer's steps fit for recording, or ordinary again.
-
-    Recorded steps read their rates from the GPU's memory, where a schedule changes them in place.
-    Loading a state brings its own kind of rates along: call this again afterwards.
-    """
-    device = optimizer.param_groups[0]["params"][0].device
-    for group in optimizer.param_groups:
-        rate: Any = float(group["lr"])
-        # The fused kernel reads a float32.
-        at_hand = torch.tensor(rate, dtype=torch.float32, device=device) if capturable else rate
-        group["lr"] = at_hand
-        group["capturable"] = capturable
-    # It would warn that capturable steps run without a recording: the first two of each layout do.
-    optimizer._warned_capturable_if_run_uncaptured = True
+def recorded(update: Update, cuda_graphs: bool) -> Update:
+    """``update`` as CUDA graphs, or as it is."""
+    return CudaGraphs(update) if cuda_graphs else update

@@ -10,12 +10,12 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torch.optim.lr_scheduler import ConstantLR, LambdaLR, LRScheduler
 from torchrl.trainers import OptimizationStepper, Trainer
 
-from losses import BCSACLoss, CosineWeight
+from losses import BCSACLoss
 from losses.terms import ActorTerms
-from pipeline.cuda_graphs import CudaGraphs, Update, set_capturable
+from pipeline.cuda_graphs import Update, recorded
+from pipeline.optimizers import make_adam, make_annealing, set_capturable
 
 METRICS = (
     "loss_qvalue",
@@ -105,11 +105,13 @@ class BCSACStepper(OptimizationStepper):
         self.max_grad_norm = max_grad_norm
         self.actor_parameters = list(loss.actor.parameters())
         self.optimizers = {
-            "critic": _adam([(loss.critic.parameters(), critic_lr)]),
+            "critic": make_adam([(loss.critic.parameters(), critic_lr)]),
             # Together, because a step costs a small network more in calls than in arithmetic.
-            "actor": _adam([(self.actor_parameters, actor_lr), ([loss.log_alpha], temperature_lr)]),
+            "actor": make_adam(
+                [(self.actor_parameters, actor_lr), ([loss.log_alpha], temperature_lr)]
+            ),
         }
-        self.annealing = _annealing(self.optimizers["actor"], anneal_updates)
+        self.annealing = make_annealing(self.optimizers["actor"], anneal_updates)
         self.critic_updates = 0
         self.last: dict[str, Tensor] = {}
         # A tensor, which a recorded update reads again each time.
@@ -123,7 +125,7 @@ class BCSACStepper(OptimizationStepper):
         self._weight.fill_(self.loss.current_bc_weight * (self.bc_gradient_ratio or 1.0))
         parts = self._parts_due()
         if parts not in self._updates:
-            self._updates[parts] = _recorded(partial(self._learn, parts), self._cuda_graphs)
+            self._updates[parts] = recorded(partial(self._learn, parts), self._cuda_graphs)
         self.last.update(self._updates[parts](sub_batch))
         self.critic_updates += 1
         if parts.actor:
@@ -225,81 +227,6 @@ class BCSACStepper(OptimizationStepper):
     def _prepare_optimizers(self) -> None:
         for optimizer in self.optimizers.values():
             set_capturable(optimizer, self._cuda_graphs)
-
-
-class ImitationStepper(OptimizationStepper):
-    """One step of behaviour cloning (paper III-B): maximise E_D[log pi(a | s)].
-
-    Args:
-        loss: Only its imitation term and actor are used.
-        actor_lr: Adam's rate.
-        anneal_updates: Updates over which a cosine takes the rate to zero; None keeps it constant.
-            The closed-loop success of a constant rate wanders from checkpoint to checkpoint while
-            the loss hardly moves; an annealed run ends where the wandering has died down.
-        cuda_graphs: Whether to replay updates as CUDA graphs; networks and batches are on a GPU
-            then.
-    """
-
-    def __init__(
-        self,
-        loss: BCSACLoss,
-        *,
-        actor_lr: float,
-        anneal_updates: int | None = None,
-        cuda_graphs: bool = False,
-    ) -> None:
-        self.loss = loss
-        self.optimizer = _adam([(loss.actor.parameters(), actor_lr)])
-        self.annealing = _annealing(self.optimizer, anneal_updates)
-        self._cuda_graphs = cuda_graphs
-        set_capturable(self.optimizer, cuda_graphs)
-        self._update = _recorded(self._learn, cuda_graphs)
-
-    def step(self, _trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
-        """Updates on one batch of demonstration rows; returns ``loss_bc``."""
-        found = self._update(sub_batch)
-        self.annealing.step()
-        return TensorDict(found, device=sub_batch.device)
-
-    def _learn(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        loss = self.loss.bc_loss(batch)
-        self.optimizer.zero_grad()
-        loss.backward()
-        self.optimizer.step()
-        return {"loss_bc": loss.detach()}
-
-    def state_dict(self) -> dict[str, Any]:
-        """Optimizer moments."""
-        return {
-            "optimizer": self.optimizer.state_dict(),
-            "annealing": self.annealing.state_dict(),
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restores what :meth:`state_dict` gave."""
-        self.optimizer.load_state_dict(state["optimizer"])
-        set_capturable(self.optimizer, self._cuda_graphs)
-        self.annealing.load_state_dict(state["annealing"])
-
-
-def _recorded(update: Update, cuda_graphs: bool) -> Update:
-    return CudaGraphs(update) if cuda_graphs else update
-
-
-def _adam(groups: Iterable[tuple[Iterable[nn.Parameter], float]]) -> torch.optim.Adam:
-    return torch.optim.Adam(
-        [{"params": list(parameters), "lr": lr} for parameters, lr in groups], fused=True
-    )
-
-
-def _annealing(optimizer: torch.optim.Optimizer, updates: int | None) -> LRScheduler:
-    """The schedule of the first group's rate; the rates of the others stay."""
-    if updates is None:
-        return ConstantLR(optimizer, factor=1.0)
-    # Not CosineAnnealingLR, whose rate rises again if there are more updates than that.
-    share = CosineWeight(init=1.0, final=0.0, duration=max(updates, 1))
-    others = len(optimizer.param_groups) - 1
-    return LambdaLR(optimizer, [lambda update: share(update), *[lambda _update: 1.0] * others])
 
 
 def _norm(tensors: Iterable[Tensor]) -> Tensor:

@@ -6,7 +6,6 @@ surroundings together; where there is one, they compare replays with eager updat
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from copy import deepcopy
 
 import pytest
@@ -17,24 +16,20 @@ from torch import Tensor
 from losses import BCSACLoss, LinearWeight
 from pipeline.critics import BatchedCritics
 from pipeline.cuda_graphs import CudaGraphs
+from pipeline.imitation import ImitationStepper
 from pipeline.networks import make_actor
-from pipeline.stepper import BCSACStepper, ImitationStepper, StepRhythm
+from pipeline.stepper import BCSACStepper, StepRhythm
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
 
-pytestmark = pytest.mark.filterwarnings("ignore:This module is instantiated on a machine without")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:This module is instantiated on a machine without"),
+    # The recorded rates are float32 all the same.
+    pytest.mark.usefixtures("float64"),
+]
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 UPDATES = 30
 MAIN_ROWS, DEMO_ROWS = 8, 4
-
-
-@pytest.fixture(autouse=True)
-def float64() -> Iterator[None]:
-    """Rounding does not grow over the updates; the recorded rates are float32 all the same."""
-    default = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(default)
 
 
 def close(found: object, expected: object) -> None:

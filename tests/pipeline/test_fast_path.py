@@ -8,7 +8,6 @@ float32's rounding grow over the updates until nothing could be told apart.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from copy import deepcopy
 
 import pytest
@@ -27,19 +26,13 @@ from pipeline.networks import make_actor
 from pipeline.stepper import BCSACStepper, StepRhythm
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
 
+pytestmark = pytest.mark.usefixtures("float64")
+
 UPDATES = 50
 GAMMA, TAU, WEIGHT = 0.9, 0.05, 0.7
 HIDDEN, CRITICS = [16, 12], 2
 ACTOR_LR, CRITIC_LR, TEMPERATURE_LR = 3e-3, 5e-3, 1e-2
 MAIN_ROWS, DEMO_ROWS = 8, 4
-
-
-@pytest.fixture(autouse=True)
-def float64() -> Iterator[None]:
-    default = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(default)
 
 
 class OrdinaryCritic(nn.Module):

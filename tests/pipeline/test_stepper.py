@@ -10,7 +10,8 @@ import torch
 from torch import nn
 
 from losses import BCSACLoss, ExponentialWeight
-from pipeline.stepper import METRICS, BCSACStepper, ImitationStepper, StepRhythm
+from pipeline.imitation import ImitationStepper
+from pipeline.stepper import METRICS, BCSACStepper, StepRhythm
 from tests.pipeline.toys import make_batch, make_loss, parameters_of, same
 
 
