@@ -105,8 +105,14 @@ def main(
     device: Annotated[str, typer.Option(help="As torch names it.")] = "cuda",
     out: Annotated[Path, typer.Option(help="Folder of the result files.")] = DEFAULT_OUT,
     rows: Annotated[int, typer.Option(help="In the replay buffers.")] = 100_000,
+    width: Annotated[list[int] | None, typer.Option(help="Only layers this wide.")] = None,
 ) -> None:
     """Measure updates on a CUDA device."""
+    if unknown := set(width or ()) - SIZES.keys():
+        typer.echo(
+            f"error: --width {min(unknown)}: there are {', '.join(map(str, SIZES))}.", err=True
+        )
+        raise typer.Exit(2)
     if not torch.cuda.is_available():
         typer.echo("error: no CUDA device; `make bench` measures the processor.", err=True)
         raise typer.Exit(2)
@@ -114,9 +120,9 @@ def main(
     os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] = "false"
     here = machine.describe() | {"gpu": torch.cuda.get_device_name(device)}
     content: dict[str, Any] = {"machine": here, "rounds": ROUNDS, "replay_rows": rows}
-    for width, batch in SIZES.items():
-        timings = race(entries(width, batch, device, rows), rounds=ROUNDS, block_s=BLOCK_S)
-        content[str(width)] = summarise(timings)
+    for size in width or SIZES:
+        contestants = entries(size, SIZES[size], device, rows)
+        content[str(size)] = summarise(race(contestants, rounds=ROUNDS, block_s=BLOCK_S))
         results.write(out / f"{NAME}.json", json.dumps(content, indent=2) + "\n")
         results.write(out / f"{NAME}.md", render(content))
     typer.echo(render(content))

@@ -63,7 +63,7 @@ def everything(run: Run) -> dict[str, Any]:
 
 
 def differences(left: Any, right: Any, where: str = "") -> list[str]:
-    """Paths at which two nested states differ in a single bit."""
+    """Paths at which two nested states differ in a single bit, on whichever devices they lie."""
     if isinstance(left, dict):
         if set(left) != set(right):
             return [f"{where}: {set(left) ^ set(right)}"]
@@ -78,8 +78,8 @@ def differences(left: Any, right: Any, where: str = "") -> list[str]:
             found for i, pair in enumerate(pairs) for found in differences(*pair, f"{where}[{i}]")
         ]
     if isinstance(left, torch.Tensor):
-        equal = left.shape == right.shape and torch.equal(left.nan_to_num(-7), right.nan_to_num(-7))
-        return [] if equal else [where]
+        ours, theirs = left.cpu().nan_to_num(-7), right.cpu().nan_to_num(-7)
+        return [] if ours.shape == theirs.shape and torch.equal(ours, theirs) else [where]
     return [] if left == right else [where]
 
 
