@@ -45,3 +45,11 @@ def test_without_a_device_nothing_is_written(tmp_path: Path, capsys: pytest.Capt
         accelerator.main(out=tmp_path)
     assert "no CUDA device; `make bench` measures" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_width_that_is_not_measured_is_named(tmp_path: Path, capsys: pytest.CaptureFixture):
+    with pytest.raises(typer.Exit) as stopped:
+        accelerator.main(out=tmp_path, width=[1024, 7])
+    assert stopped.value.exit_code == 2
+    assert "--width 7: there are 256, 1024" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
