@@ -17,7 +17,7 @@ class OpeningEmphasis:
 
     Deviation: the paper imitates every step alike, and so does ``closed=1 open=1``, the default. A
     hand that leaves what it was shown before the door moves is fast and slips off handles that it
-    has not turned far enough; what other factors do is in docs/results/ablations.md, section 18.
+    has not turned far enough; what other factors do: docs/results/ablations.md, sections 18, 19.
 
     Args:
         closed: Factor on the imitation error of steps up to ``angle``, >= 0.
