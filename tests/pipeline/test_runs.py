@@ -347,8 +347,11 @@ def test_the_main_buffer_holds_the_last_frames(
     assert {tuple(row) for row in held.tolist()} == {tuple(row) for row in rows[-kept:].tolist()}
 
 
+FALLING = ("loss.bc_weight.kind=cosine", "loss.bc_weight.init=0.8", "loss.bc_weight.final=0.4")
+
+
 def test_a_weight_without_a_duration_moves_over_the_whole_run(tmp_path: Path, demos: Path):
-    config = tiny_config("best", tmp_path, demos, "optim.updates_per_frame=0.5")
+    config = tiny_config("bc_sac", tmp_path, demos, *FALLING, "optim.updates_per_frame=0.5")
     run = build_run(config)
     first = run.trainer.loss_module.current_bc_weight
     run.train()
@@ -359,5 +362,5 @@ def test_a_weight_without_a_duration_moves_over_the_whole_run(tmp_path: Path, de
 
 
 def test_a_duration_that_is_given_is_kept(tmp_path: Path, demos: Path):
-    config = tiny_config("best", tmp_path, demos, "loss.bc_weight.duration=7")
+    config = tiny_config("bc_sac", tmp_path, demos, *FALLING, "loss.bc_weight.duration=7")
     assert build_run(config).trainer.loss_module.bc_weight.duration == 7
