@@ -69,6 +69,7 @@ def make_stepper(config: Config) -> BCSACStepper:
         bc_gradient_ratio=config.loss.bc_gradient_ratio,
         max_grad_norm=optim.max_grad_norm,
         cuda_graphs=replays_updates(config),
+        compile_updates=bool(config.compile_updates),
     )
 
 

@@ -21,10 +21,11 @@ from pipeline.checkpoint import (
     make_rotation,
 )
 from pipeline.components import Demonstrations
-from pipeline.compute import hidden_dtype, kept_random_state, replays_updates
+from pipeline.compute import hidden_dtype, replays_updates
 from pipeline.imitation import ImitationStepper
 from pipeline.mixture import DRAWS, Mixture
 from pipeline.offline import OfflineStream
+from pipeline.random_state import kept_random_state
 from pipeline.run_dir import create_run_dir
 from pipeline.time_use import TimeUse
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer, seed_everything
@@ -71,6 +72,7 @@ def build_offline(
             actor_lr=config.bc.lr,
             anneal_updates=updates if config.bc.anneal else None,
             cuda_graphs=replays_updates(config),
+            compile_updates=bool(config.compile_updates),
         ),
     )
     trainer.register_op("process_optim_batch", time_use.timed(mixture, "sample"))
@@ -110,6 +112,7 @@ def behaviour_cloned(
     ]
     identity += [OmegaConf.to_container(part) for part in (config.actor, config.bc)]
     identity += [config.loss.imitation, config.loss.action_margin, config.precision]
+    identity += [config.compile_updates]
     digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:16]
     run_dir = Path(config.cache_dir) / f"bc-{digest}"
     complete = run_dir / "complete"

@@ -1,12 +1,12 @@
-"""How a run uses the machine: threads and precision, measured where they are left open."""
+"""How a run uses the machine: threads, precision and compilation, decided where they are open."""
 
 from __future__ import annotations
 
 import os
 import statistics
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import warnings
+from collections.abc import Callable
 from typing import Any
 
 import psutil
@@ -14,6 +14,7 @@ import torch
 from omegaconf import OmegaConf
 
 from configs.schema import Config
+from pipeline.compilation import why_not_compiled
 
 PRECISIONS = {"fp32": None, "bf16": torch.bfloat16}
 """What the hidden layers compute in; ``None`` is the parameters' own float32."""
@@ -25,6 +26,9 @@ WORTH_A_THREAD = 0.85
 WORTH_ROUNDING = 0.7
 """bfloat16 must take the products to this share of float32's time to be chosen."""
 
+WORTH_COMPILING = 10_000
+"""Updates from which on compiling pays: it takes up to 20 s, and saves 2 ms an update or more."""
+
 Clock = Callable[[int, torch.dtype], float]
 """Seconds that the products of an update take with so many threads in this precision."""
 
@@ -34,15 +38,16 @@ def resolve_compute(config: Config, clock: Clock | None = None) -> Config:
 
     ``torch_threads: null`` becomes the smallest count that is not clearly slower than a larger one,
     among the cores that other work leaves free; ``precision: auto`` becomes bf16 where the machine
-    multiplies matrices of the run's size clearly faster in it, else fp32. The decision is saved
-    with the run: a resumed run, and one that repeats it elsewhere, computes as it did.
+    multiplies matrices of the run's size clearly faster in it, else fp32; ``compile_updates: null``
+    becomes true on a processor that can, for a run of many updates. The decision is saved with the
+    run: a resumed run, and one that repeats it elsewhere, computes as it did.
 
     Args:
         config: A run's configuration.
         clock: Measures the machine; for tests.
 
     Raises:
-        ValueError: If a value is not one of those that exist.
+        ValueError: If a value is not one of those that exist, or not possible here.
     """
     if config.precision not in (*PRECISIONS, "auto"):
         raise ValueError(
@@ -58,7 +63,14 @@ def resolve_compute(config: Config, clock: Clock | None = None) -> Config:
     if precision == "auto":
         share = clock(threads, torch.bfloat16) / clock(threads, torch.float32)
         precision = "bf16" if share < WORTH_ROUNDING else "fp32"
-    decided: Any = OmegaConf.merge(config, {"torch_threads": threads, "precision": precision})
+    decided: Any = OmegaConf.merge(
+        config,
+        {
+            "torch_threads": threads,
+            "precision": precision,
+            "compile_updates": _compiles_updates(config),
+        },
+    )
     return decided
 
 
@@ -82,12 +94,30 @@ def replays_updates(config: Config) -> bool:
     return on_cuda if config.cuda_graphs is None else config.cuda_graphs
 
 
-@contextmanager
-def kept_random_state(device: torch.device | str) -> Iterator[None]:
-    """Leaves torch's random state as it was, that of ``device`` included."""
-    on_cuda = torch.device(device).type == "cuda"
-    with torch.random.fork_rng(devices=[device] if on_cuda else []):
-        yield
+def _compiles_updates(config: Config) -> bool:
+    wanted = config.compile_updates
+    if wanted is None and not (config.device == "cpu" and _updates(config) >= WORTH_COMPILING):
+        return False
+    problem = None if wanted is False else why_not_compiled()
+    if problem is None:
+        return wanted is not False
+    if wanted:
+        raise ValueError(
+            f"compile_updates=true needs a C++ compiler and Python's headers ({problem}): install "
+            "them (on Debian: g++ and python3-dev), or leave compile_updates=null."
+        )
+    warnings.warn(
+        f"Updates are not compiled and take up to twice as long ({problem}). Install a C++ "
+        "compiler and Python's headers (Debian: g++, python3-dev), or set compile_updates=false.",
+        stacklevel=2,
+    )
+    return False
+
+
+def _updates(config: Config) -> int:
+    if config.offline:
+        return config.bc.updates
+    return round(config.optim.updates_per_frame * config.collector.total_frames)
 
 
 def _fastest_threads(clock: Clock) -> int:

@@ -19,8 +19,8 @@ from envs import DoorEnv, make_env
 from envs.door.metrics import DoorMetrics, summarise
 from envs.door.starts import door_position
 from envs.door.task import LATCH, PALM_TO_HANDLE
-from pipeline.compute import kept_random_state
 from pipeline.exploration import require_noise_scale, with_noise
+from pipeline.random_state import kept_random_state
 
 Exploration = Literal["mean", "sample"]
 EXPLORATION: dict[str, ExplorationType] = {

@@ -9,7 +9,9 @@ from torch import Tensor
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from losses import BCSACLoss
+from pipeline.compilation import compiled
 from pipeline.cuda_graphs import recorded
+from pipeline.gradients import ImitationGradients, hand_over
 from pipeline.optimizers import make_adam, make_annealing, set_capturable
 
 
@@ -24,6 +26,7 @@ class ImitationStepper(OptimizationStepper):
             the loss hardly moves; an annealed run ends where the wandering has died down.
         cuda_graphs: Whether to replay updates as CUDA graphs; networks and batches are on a GPU
             then.
+        compile_updates: Whether to compile the gradients.
     """
 
     def __init__(
@@ -33,8 +36,10 @@ class ImitationStepper(OptimizationStepper):
         actor_lr: float,
         anneal_updates: int | None = None,
         cuda_graphs: bool = False,
+        compile_updates: bool = False,
     ) -> None:
-        self.loss = loss
+        self.gradients = ImitationGradients(loss)
+        self._teach = compiled(self.gradients.actor, compile_updates)
         self.optimizer = make_adam([(loss.actor.parameters(), actor_lr)])
         self.annealing = make_annealing(self.optimizer, anneal_updates)
         self._cuda_graphs = cuda_graphs
@@ -48,11 +53,10 @@ class ImitationStepper(OptimizationStepper):
         return TensorDict(found, device=sub_batch.device)
 
     def _learn(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        loss = self.loss.bc_loss(batch)
-        self.optimizer.zero_grad()
-        loss.backward()
+        found, gradients = self._teach(batch)
+        hand_over(self.gradients.actor_parameters, gradients)
         self.optimizer.step()
-        return {"loss_bc": loss.detach()}
+        return found
 
     def state_dict(self) -> dict[str, Any]:
         """Optimizer moments."""

@@ -86,6 +86,7 @@ def build_online(
         max_grad_norm=config.optim.max_grad_norm,
         anneal_updates=updates if config.optim.anneal_actor else None,
         cuda_graphs=replays_updates(config),
+        compile_updates=bool(config.compile_updates),
     )
     average = None
     if config.optim.actor_average is not None:

@@ -13,8 +13,9 @@ from torch import Tensor, nn
 from torchrl.trainers import OptimizationStepper, Trainer
 
 from losses import BCSACLoss
-from losses.terms import ActorTerms
+from pipeline.compilation import compiled
 from pipeline.cuda_graphs import Update, recorded
+from pipeline.gradients import BCSACGradients, hand_over
 from pipeline.optimizers import make_adam, make_annealing, set_capturable
 
 METRICS = (
@@ -84,6 +85,8 @@ class BCSACStepper(OptimizationStepper):
             keeps it constant.
         cuda_graphs: Whether to replay updates as CUDA graphs. Networks and batches are on a GPU
             then, and without ``loss.rl_on_demos`` the loss must know its ``main_rows``.
+        compile_updates: Whether to compile the gradients (:class:`~pipeline.compilation.Compiled`);
+            the loss must know its ``main_rows`` likewise.
     """
 
     def __init__(
@@ -98,17 +101,17 @@ class BCSACStepper(OptimizationStepper):
         max_grad_norm: float | None = None,
         anneal_updates: int | None = None,
         cuda_graphs: bool = False,
+        compile_updates: bool = False,
     ) -> None:
         self.loss = loss
         self.rhythm = rhythm if rhythm is not None else StepRhythm()
         self.bc_gradient_ratio = bc_gradient_ratio
         self.max_grad_norm = max_grad_norm
-        self.actor_parameters = list(loss.actor.parameters())
         self.optimizers = {
             "critic": make_adam([(loss.critic.parameters(), critic_lr)]),
             # Together, because a step costs a small network more in calls than in arithmetic.
             "actor": make_adam(
-                [(self.actor_parameters, actor_lr), ([loss.log_alpha], temperature_lr)]
+                [(loss.actor.parameters(), actor_lr), ([loss.log_alpha], temperature_lr)]
             ),
         }
         self.annealing = make_annealing(self.optimizers["actor"], anneal_updates)
@@ -116,6 +119,14 @@ class BCSACStepper(OptimizationStepper):
         self.last: dict[str, Tensor] = {}
         # A tensor, which a recorded update reads again each time.
         self._weight = torch.zeros((), device=loss.log_alpha.device)
+        self.gradients = BCSACGradients(loss, self._weight, bc_gradient_ratio)
+        self._teach_critic = compiled(self.gradients.critic, compile_updates)
+        self._teach_actor = compiled(self.gradients.actor, compile_updates)
+        # Taken apart for measurements alone, one update in a hundred is not worth compiling.
+        always_apart = bc_gradient_ratio is not None
+        self._teach_by_terms = compiled(
+            self.gradients.actor_by_terms, compile_updates and always_apart
+        )
         self._cuda_graphs = cuda_graphs
         self._prepare_optimizers()
         self._updates: dict[StepParts, Update] = {}
@@ -156,51 +167,19 @@ class BCSACStepper(OptimizationStepper):
         return found
 
     def _learn_critic(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        terms = self.loss.critic_terms(batch)
-        self.optimizers["critic"].zero_grad()
-        terms.loss.backward()
-        self._clip(self.loss.critic.parameters())
+        found, gradients = self._teach_critic(batch)
+        hand_over(self.gradients.critic_parameters, gradients)
+        self._clip(self.gradients.critic_parameters)
         self.optimizers["critic"].step()
-        return {"loss_qvalue": terms.loss.detach(), "q_data": terms.q.mean()}
+        return found
 
     def _learn_actor(self, batch: TensorDictBase, *, by_terms: bool) -> dict[str, Tensor]:
-        """Takes the gradients of the two terms apart, to measure or to scale them, or together."""
-        terms = self.loss.actor_terms(batch)
-        if not (by_terms and terms.bc.requires_grad):
-            self.optimizers["actor"].zero_grad()
-            (terms.rl + self._weight * terms.bc).backward()
-            return self._finish_actor(terms, self._weight.clone())
-        g_rl = torch.autograd.grad(terms.rl, self.actor_parameters, retain_graph=True)
-        g_bc = torch.autograd.grad(terms.bc, self.actor_parameters)
-        norm_rl, norm_bc = _norm(g_rl), _norm(g_bc)
-        weight = self._weight.clone()
-        if self.bc_gradient_ratio is not None:
-            weight = weight * norm_rl / norm_bc.clamp_min(1e-12)
-        for parameter, rl, bc in zip(self.actor_parameters, g_rl, g_bc, strict=True):
-            parameter.grad = rl + weight * bc
-        cosine = _dot(g_rl, g_bc) / (norm_rl * norm_bc).clamp_min(1e-12)
-        gradients = {"grad_norm_rl": norm_rl, "grad_norm_bc": norm_bc, "grad_cosine": cosine}
-        return gradients | self._finish_actor(terms, weight)
-
-    def _finish_actor(self, terms: ActorTerms, weight: Tensor) -> dict[str, Tensor]:
-        self._clip(self.actor_parameters)
-        alpha_loss = self._temperature_gradient(terms.log_prob)
+        found, gradients = (self._teach_by_terms if by_terms else self._teach_actor)(batch)
+        of = self.gradients
+        hand_over([*of.actor_parameters, *of.temperature], gradients)
+        self._clip(of.actor_parameters)
         self.optimizers["actor"].step()
-        return {
-            "loss_actor": terms.rl.detach(),
-            "loss_alpha": alpha_loss,
-            "bc_nll": terms.bc.detach(),
-            "bc_weight": weight,
-            "alpha": self.loss.alpha,
-            "entropy": -terms.log_prob.mean(),
-            "q_policy": terms.q.mean(),
-        }
-
-    def _temperature_gradient(self, log_prob: Tensor) -> Tensor:
-        loss = self.loss.alpha_loss(log_prob)
-        if loss.requires_grad:
-            (self.loss.log_alpha.grad,) = torch.autograd.grad(loss, [self.loss.log_alpha])
-        return loss.detach()
+        return found | {"alpha": self.loss.alpha}
 
     def _clip(self, parameters: Iterable[nn.Parameter]) -> None:
         if self.max_grad_norm is not None:
@@ -227,11 +206,3 @@ class BCSACStepper(OptimizationStepper):
     def _prepare_optimizers(self) -> None:
         for optimizer in self.optimizers.values():
             set_capturable(optimizer, self._cuda_graphs)
-
-
-def _norm(tensors: Iterable[Tensor]) -> Tensor:
-    return torch.nn.utils.get_total_norm(tensors)
-
-
-def _dot(left: Iterable[Tensor], right: Iterable[Tensor]) -> Tensor:
-    return torch.stack([(a * b).sum() for a, b in zip(left, right, strict=True)]).sum()

@@ -10,8 +10,8 @@ import torch
 
 from pipeline.build import build_run
 from pipeline.components import make_evaluator
-from pipeline.compute import kept_random_state
 from pipeline.evaluate_run import evaluate_run
+from pipeline.random_state import kept_random_state
 from pipeline.trainer import Run
 from tests.pipeline.resuming import (
     HALF,

@@ -1,0 +1,89 @@
+"""Gradients that are compiled for the processor they run on."""
+
+from __future__ import annotations
+
+import functools
+
+import torch
+import torch._inductor
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from pipeline.gradients import Gradients, Teaching
+from pipeline.random_state import kept_random_state
+
+OPTIONS = {
+    # Random numbers are drawn as they would be, so that a compiled run is the ordinary one.
+    "fallback_random": True,
+}
+
+
+class Compiled:
+    """A :class:`Teaching`, compiled at the first batch of each layout.
+
+    On small networks an update is hundreds of calls of torch operations, most of which take longer
+    to call than to compute. They are traced once, gradients included, and TorchInductor makes a
+    few loops of what lies between the matrix products. ``torch.compile`` does the same from the
+    Python code, but asks at each call whether anything of that code's world has changed, forward
+    and backward apart: an update took a quarter longer (docs/performance.md).
+
+    Args:
+        function: What it reads besides the batch are tensors, which stay the same objects.
+    """
+
+    def __init__(self, function: Teaching) -> None:
+        self._function = function
+        self._compilations: dict[object, _Compilation] = {}
+
+    def __call__(self, batch: TensorDictBase) -> tuple[dict[str, Tensor], Gradients]:
+        """What the function returns for ``batch``."""
+        layout = (batch.batch_size, frozenset(batch.keys(include_nested=True, leaves_only=True)))
+        if layout not in self._compilations:
+            self._compilations[layout] = _Compilation(self._function, batch)
+        return self._compilations[layout](batch)
+
+
+class _Compilation:
+    def __init__(self, function: Teaching, batch: TensorDictBase) -> None:
+        self.function = function
+        self.batch_size = batch.batch_size
+        self.keys = list(batch.keys(include_nested=True, leaves_only=True))
+        self.names: tuple[str, ...] = ()
+        values = self.values_of(batch)
+        # The tracer calls the function, whose draws must not count.
+        with kept_random_state(values[0].device):
+            graph = make_fx(self.on_tensors)(*values)
+        with torch.no_grad():
+            self.compiled = torch._inductor.compile(graph, [*values], options=OPTIONS)
+
+    def __call__(self, batch: TensorDictBase) -> tuple[dict[str, Tensor], Gradients]:
+        with torch.no_grad():
+            results = self.compiled(*self.values_of(batch))
+        count = len(self.names)
+        return dict(zip(self.names, results[:count], strict=True)), results[count:]
+
+    def on_tensors(self, *values: Tensor) -> list[Tensor]:
+        batch = TensorDict(dict(zip(self.keys, values, strict=True)), self.batch_size)
+        found, gradients = self.function(batch)
+        self.names = tuple(found)
+        return [*found.values(), *gradients]
+
+    def values_of(self, batch: TensorDictBase) -> list[Tensor]:
+        return [batch[key] for key in self.keys]
+
+
+def compiled(function: Teaching, enabled: bool) -> Teaching:
+    """``function`` compiled, or as it is."""
+    return Compiled(function) if enabled else function
+
+
+@functools.cache
+def why_not_compiled() -> str | None:
+    """What keeps this machine from compiling, or ``None``: tried with a small function."""
+    try:
+        Compiled(lambda batch: ({"sum": batch["x"].sum()}, ()))(TensorDict({"x": torch.ones(2)}))
+    # Inductor wraps what its code generation, the compiler and the linker raise, each its own way.
+    except Exception as error:
+        return f"{type(error).__name__}: {error}".strip().splitlines()[0]
+    return None
