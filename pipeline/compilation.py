@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import warnings
 
 import torch
 import torch._inductor
@@ -51,11 +52,14 @@ class _Compilation:
         self.keys = list(batch.keys(include_nested=True, leaves_only=True))
         self.names: tuple[str, ...] = ()
         values = self.values_of(batch)
-        # The tracer calls the function, whose draws must not count.
-        with kept_random_state(values[0].device):
-            graph = make_fx(self.on_tensors)(*values)
-        with torch.no_grad():
-            self.compiled = torch._inductor.compile(graph, [*values], options=OPTIONS)
+        with warnings.catch_warnings():
+            # Of what torch itself still uses.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            # The tracer calls the function, whose draws must not count.
+            with kept_random_state(values[0].device):
+                graph = make_fx(self.on_tensors)(*values)
+            with torch.no_grad():
+                self.compiled = torch._inductor.compile(graph, [*values], options=OPTIONS)
 
     def __call__(self, batch: TensorDictBase) -> tuple[dict[str, Tensor], Gradients]:
         with torch.no_grad():

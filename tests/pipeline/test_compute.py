@@ -1,4 +1,4 @@
-"""Threads and precision: what is left open is measured once, what is given is kept."""
+"""Threads, precision, compilation: what is open is decided once, what is given is kept."""
 
 from __future__ import annotations
 
@@ -130,7 +130,8 @@ def test_bf16_is_chosen_only_where_it_is_clearly_faster(share: float, expected: 
 
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 def test_given_values_are_kept_and_nothing_is_measured(precision: str):
-    config = open_config("torch_threads=3", f"precision={precision}")
+    given = ["torch_threads=3", f"precision={precision}", "compile_updates=false"]
+    config = open_config(*given)
     assert resolve_compute(config, refused) == config
 
 
@@ -140,13 +141,13 @@ def test_a_decision_is_not_taken_again():
 
 
 @pytest.mark.usefixtures("machine")
-def test_only_the_two_values_change_and_only_in_the_copy():
+def test_only_what_was_open_changes_and_only_in_the_copy():
     config = open_config("precision=auto", "seed=7")
     before = OmegaConf.to_container(config)
     decided = resolve_compute(config, FakeClock(1.0, 0.5, 0.5, 0.5, bf16_share=0.5))
     assert OmegaConf.to_container(config) == before
     assert before["torch_threads"] is None
-    expected = before | {"torch_threads": 2, "precision": "bf16"}
+    expected = before | {"torch_threads": 2, "precision": "bf16", "compile_updates": False}
     assert OmegaConf.to_container(decided) == expected
 
 
@@ -271,3 +272,36 @@ def test_updates_are_replayed_on_cuda_unless_told_otherwise(overrides: list[str]
 def test_no_other_device_replays_updates():
     with pytest.raises(ValueError, match=r"cuda_graphs=true needs .* device is cpu: set device"):
         replays_updates(open_config("cuda_graphs=true"))
+
+
+LONG = ["torch_threads=1", "optim.updates_per_frame=0.5", "collector.total_frames=20000"]
+SHORT = [*LONG[:2], "collector.total_frames=19990"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (LONG, True),
+        (SHORT, False),
+        ([*LONG, "compile_updates=false"], False),
+        ([*SHORT, "compile_updates=true"], True),
+        ([*LONG, "device=cuda"], False),
+        ([*SHORT, "offline=true", "bc.updates=10000"], True),
+        ([*LONG, "offline=true", "bc.updates=9999"], False),
+    ],
+)
+def test_updates_are_compiled_where_there_are_many(
+    overrides: list[str], expected: bool, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(compute, "why_not_compiled", lambda: None)
+    assert resolve_compute(open_config(*overrides), refused).compile_updates is expected
+
+
+def test_a_machine_that_cannot_compile_is_named(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(compute, "why_not_compiled", lambda: "no g++")
+    with pytest.warns(UserWarning, match=r"not compiled .*no g\+\+.* compile_updates=false"):
+        decided = resolve_compute(open_config(*LONG), refused)
+    assert decided.compile_updates is False
+    with pytest.raises(ValueError, match=r"compile_updates=true needs .*no g\+\+"):
+        resolve_compute(open_config(*SHORT, "compile_updates=true"), refused)
+    assert resolve_compute(open_config(*SHORT), refused).compile_updates is False

@@ -1,0 +1,184 @@
+"""Compiled updates are the ordinary ones, and leave no trace in the random numbers.
+
+Both sides compute in float64, where rounding does not grow over the updates.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from losses import BCSACLoss, LinearWeight
+from pipeline.build import build_run
+from pipeline.compilation import Compiled, compiled, why_not_compiled
+from pipeline.critics import BatchedCritics
+from pipeline.gradients import Gradients
+from pipeline.imitation import ImitationStepper
+from pipeline.networks import make_actor
+from pipeline.stepper import BCSACStepper, StepRhythm
+from tests.pipeline.resuming import HALF, differences, everything, interrupted, long_config
+from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
+
+needs_compiler = pytest.mark.skipif(
+    why_not_compiled() is not None, reason=f"cannot compile here: {why_not_compiled()}"
+)
+
+UPDATES = 20
+MAIN_ROWS, DEMO_ROWS = 8, 4
+
+
+def make_loss(**options) -> BCSACLoss:
+    """Networks with everything that the pipeline's can have."""
+    hidden = {"hidden_dtype": options.pop("hidden_dtype", None)}
+    actor = make_actor(OBSERVATION_SIZE, ACTION_SIZE, [16, 16], **hidden)
+    critic = BatchedCritics(OBSERVATION_SIZE, ACTION_SIZE, [16, 16], 3, layer_norm=True, **hidden)
+    return BCSACLoss(
+        actor,
+        critic,
+        target_entropy=-float(ACTION_SIZE),
+        main_rows=MAIN_ROWS,
+        # Another weight at each update: a compilation must not keep that of its own.
+        bc_weight=LinearWeight(init=1.0, final=0.2, duration=UPDATES),
+        **options,
+    )
+
+
+def make_stepper(loss: BCSACLoss, **options) -> BCSACStepper:
+    return BCSACStepper(
+        loss,
+        actor_lr=1e-3,
+        critic_lr=2e-3,
+        temperature_lr=3e-3,
+        rhythm=StepRhythm(target_period=2, diagnostics_period=3, actor_delay=2),
+        anneal_updates=UPDATES,
+        **options,
+    )
+
+
+def learnt(loss: BCSACLoss, stepper, given: list[TensorDict]) -> tuple[dict, list[dict], Tensor]:
+    """Weights, results of the steps and the next random number."""
+    torch.manual_seed(3)
+    found = [stepper.step(None, batch.clone()).to_dict() for batch in given]
+    weights = {name: value.clone() for name, value in loss.named_parameters()}
+    return weights, found, torch.rand(1)
+
+
+def close(found: object, expected: object) -> None:
+    torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9, equal_nan=True)
+
+
+def marked_and_unmarked(count: int) -> list[TensorDict]:
+    """Marked batches, and every fifth one without marks and of another size (DA-SAC)."""
+    sizes = [(5, None) if i % 5 == 4 else (MAIN_ROWS + DEMO_ROWS, DEMO_ROWS) for i in range(count)]
+    return [make_batch(rows, demos) for rows, demos in sizes]
+
+
+def marked(count: int) -> list[TensorDict]:
+    return [make_batch(MAIN_ROWS + DEMO_ROWS, DEMO_ROWS) for _ in range(count)]
+
+
+@needs_compiler
+@pytest.mark.usefixtures("float64")
+@pytest.mark.parametrize(
+    ("options", "training", "batches"),
+    [
+        ({}, {}, marked_and_unmarked),
+        # Two kinds of draws in one update, whose order is part of a run.
+        (
+            {"rl_on_demos": True, "target_subset": 2, "q_filter": True},
+            {"bc_gradient_ratio": 0.5, "max_grad_norm": 1.0},
+            marked,
+        ),
+    ],
+    ids=["plain", "options"],
+)
+def test_compiled_updates_are_the_ordinary_ones(options: dict, training: dict, batches):
+    plain = make_loss(**options)
+    fast = deepcopy(plain)
+    given = batches(UPDATES)
+    expected = learnt(plain, make_stepper(plain, **training), given)
+    found = learnt(fast, make_stepper(fast, **training, compile_updates=True), given)
+    close(found, expected)
+    start = make_loss(**options).log_alpha
+    assert (found[0]["log_alpha"] - start).abs() > 1e-3
+
+
+@needs_compiler
+def test_compiled_updates_are_the_ordinary_ones_in_bfloat16():
+    plain = make_loss(hidden_dtype=torch.bfloat16)
+    fast = deepcopy(plain)
+    given = marked(10)
+    start = weights_of(plain)
+    learnt(plain, make_stepper(plain), given)
+    learnt(fast, make_stepper(fast, compile_updates=True), given)
+    # The compiled sums of several operations are rounded once, not after each: near zero, where
+    # Adam's step has its size all the same, a gradient may turn.
+    way = (weights_of(plain) - start).norm()
+    assert (weights_of(fast) - weights_of(plain)).norm() < 0.1 * way
+
+
+def weights_of(loss: BCSACLoss) -> Tensor:
+    return torch.nn.utils.parameters_to_vector(loss.parameters()).detach().clone()
+
+
+@needs_compiler
+@pytest.mark.usefixtures("float64")
+def test_compiled_imitation_is_the_ordinary_one():
+    plain = make_loss()
+    fast = deepcopy(plain)
+    given = [make_batch(6, 6) for _ in range(UPDATES)]
+    options = {"actor_lr": 1e-3, "anneal_updates": UPDATES}
+    expected = learnt(plain, ImitationStepper(plain, **options), given)
+    found = learnt(fast, ImitationStepper(fast, **options, compile_updates=True), given)
+    close(found, expected)
+
+
+@needs_compiler
+def test_gradients_lie_in_memory_as_their_parameters_do():
+    """The fused Adam walks through both alike, whatever their strides say."""
+    loss = make_loss()
+    stepper = make_stepper(loss, compile_updates=True)
+    for batch in marked(4):
+        stepper.step(None, batch)
+    learning = [*loss.actor.parameters(), *loss.critic.parameters()]
+    assert all(p.is_contiguous() and p.grad.is_contiguous() for p in learning)
+
+
+@needs_compiler
+def test_each_layout_of_batch_is_compiled_once(monkeypatch: pytest.MonkeyPatch):
+    traced = []
+
+    def count(batch: TensorDictBase) -> tuple[dict[str, Tensor], Gradients]:
+        traced.append(batch.batch_size)
+        return {"rows": torch.full((), float(batch.numel()))}, [batch["x"] * 2]
+
+    counted = Compiled(count)
+    for _ in range(3):
+        for rows in (3, 5):
+            batch = TensorDict({"x": torch.randn(rows)}, [rows])
+            found, (doubled,) = counted(batch)
+            assert found["rows"] == rows
+            assert torch.equal(doubled, 2 * batch["x"])
+    assert traced == [torch.Size([3]), torch.Size([5])]
+
+
+def test_what_is_not_enabled_is_not_compiled():
+    assert compiled(len, enabled=False) is len
+
+
+@needs_compiler
+def test_a_resumed_compiled_run_is_the_uninterrupted_one(tmp_path: Path, demos: Path):
+    whole = build_run(long_config(tmp_path / "whole", demos, "compile_updates=true"))
+    whole.train()
+    config = long_config(tmp_path / "halved", demos, "compile_updates=true")
+    interrupted(config)
+    torch.manual_seed(4321)  # whatever happened before must not matter
+    halved = build_run(config, resume=True)
+    assert halved.trainer.collected_frames == HALF
+    halved.train()
+    assert differences(everything(halved), everything(whole)) == []
