@@ -20,6 +20,7 @@ from pipeline.buffers import DemonstrationDistribution, make_buffer, make_core_b
 from pipeline.compute import hidden_dtype, replays_updates, resolve_compute
 from pipeline.hooks import DemoUpdateHook
 from pipeline.mixture import DRAWS, Mixture
+from pipeline.products import use_onednn
 from pipeline.rows import TransitionRows
 from pipeline.stepper import BCSACStepper, StepRhythm
 
@@ -171,6 +172,7 @@ def make_updater(
     torch.manual_seed(0)
     threads = f"torch_threads={torch.get_num_threads()}"
     config = resolve_compute(compose_config(*overrides, f"precision={precision}", threads))
+    use_onednn(bool(config.onednn))
     return Updater(
         config, replay_rows=replay_rows, demo_rows=demo_rows, updates=updates, frame=frame
     )

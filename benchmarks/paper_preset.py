@@ -50,6 +50,8 @@ def run(effort: Effort) -> dict[str, Any]:
     short = [
         *CHOSEN,
         "precision=auto",
+        # As in the whole run, which has updates enough.
+        "compile_updates=true",
         f"collector.total_frames={frames}",
         f"collector.random_frames={random_frames}",
         f"evaluation.interval={frames}",

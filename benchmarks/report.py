@@ -80,7 +80,8 @@ def _update(results: Results) -> str:
     parts = [
         f"{_conditions(update)} ms per update, sampling included; precision by name, the packages "
         "in fp32. `ours_bc_sac` adds as many demonstration rows to the batch as it has replay "
-        "rows; `ours_bc_sac_mixed` has the default preset's rows, half of the batch demonstrations."
+        "rows and draws 16 batches together (4 at 1024), `_single` each by itself; `_eager` is not "
+        "compiled; `_mixed` has the default preset's rows, half of the batch demonstrations."
     ]
     for size in ("256", "1024"):
         block = update[size]

@@ -13,6 +13,9 @@ from configs.schema import Config
 from pipeline import components
 from pipeline.build import build_run
 
+FIRST_UPDATES = 10
+"""Frames with updates after which all that a run compiles is compiled."""
+
 
 def _config(overrides: list[str], folder: str) -> Config:
     quiet = ["logging.progress=false", "logging.loggers=[csv]"]
@@ -45,10 +48,10 @@ def train_and_time(overrides: list[str], random_frames: int) -> list[dict[str, A
     """Seconds of a run with one frame to a batch, in its parts.
 
     Returns:
-        ``opening_s``: the first frame; ``random_s`` and ``random_frames``: the others before the
-        first update; ``learning_s`` and ``learning_frames``: those with updates; ``closing_s``:
-        evaluation and checkpoint at the end. After them the ``threads`` and the ``precision``
-        that the run decided on.
+        ``opening_s``: the first frame and the first with updates; ``random_s`` and
+        ``random_frames``: the others before the first update; ``learning_s`` and
+        ``learning_frames``: the others with updates; ``closing_s``: evaluation and checkpoint at
+        the end. After them the ``threads`` and the ``precision`` that the run decided on.
     """
     moments: list[tuple[int, float]] = []
     with tempfile.TemporaryDirectory() as folder:
@@ -63,13 +66,15 @@ def train_and_time(overrides: list[str], random_frames: int) -> list[dict[str, A
     # The trainer updates from the batch on that completes the random frames.
     random = [moment for moment in moments if moment[0] < random_frames]
     first, turning, last = random[0], random[-1], moments[-1]
+    warm = moments[len(random) + FIRST_UPDATES - 1]
     timed = {
-        # The first frame allocates buffers and loads loggers: once in a run, however long.
-        "opening_s": first[1] - began,
+        # The first frame allocates buffers and loads loggers, the first updates are compiled: once
+        # in a run, however long.
+        "opening_s": first[1] - began + warm[1] - turning[1],
         "random_frames": float(turning[0] - first[0]),
         "random_s": turning[1] - first[1],
-        "learning_frames": float(last[0] - turning[0]),
-        "learning_s": last[1] - turning[1],
+        "learning_frames": float(last[0] - warm[0]),
+        "learning_s": last[1] - warm[1],
         "closing_s": ended - last[1],
     }
     return [timed, {"threads": run.config.torch_threads, "precision": run.config.precision}]

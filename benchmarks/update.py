@@ -13,26 +13,37 @@ from benchmarks.worker import Entry, Timing, race
 
 SIZES = {256: 256, 1024: 1024}
 """Width of the hidden layers and rows of a batch."""
-VARIANTS = ("sac", "bc_sac", "bc_sac_mixed", "da_sac")
-SBX_STEPS = {256: 16, 1024: 4}
-"""Gradient steps of one ``train`` of sbx where it loops inside the compiled function."""
+VARIANTS = ("sac", "bc_sac", "bc_sac_single", "bc_sac_eager", "bc_sac_mixed", "da_sac")
+TOGETHER = {256: 16, 1024: 4}
+"""Updates that follow one another: ours draw their batches together, as a run does that collects
+several frames at a time; sbx loops over them inside one compiled call."""
 
 
-def our_overrides(variant: str, width: int, batch: int) -> list[str]:
+def our_overrides(name: str, width: int, batch: int) -> list[str]:
     """The configuration of one of our contestants.
 
     ``bc_sac`` is the paper's: ``batch`` replay rows and as many demonstrations for the imitation
-    term. ``bc_sac_mixed`` has the default preset's rows: ``batch`` in all, half of them
-    demonstrations, all of them in the reinforcement terms.
+    term; ``bc_sac_single`` draws each batch by itself, as the paper's preset does, which collects
+    one frame at a time; ``bc_sac_eager`` is not compiled. ``bc_sac_mixed`` has the default
+    preset's rows: ``batch`` in all, half of them demonstrations, all of them in the reinforcement
+    terms.
     """
-    if variant == "bc_sac_mixed":
-        return [*ours.paper_size("bc_sac", width, batch // 2), "loss.rl_on_demos=true"]
-    return ours.paper_size(variant, width, batch)
+    particular = {
+        "bc_sac_single": ["collector.frames_per_batch=1"],
+        "bc_sac_eager": ["compile_updates=false"],
+        "bc_sac_mixed": [f"sampler.batch_size={batch // 2}", "loss.rl_on_demos=true"],
+    }
+    return [
+        *ours.paper_size("bc_sac" if name in particular else name, width, batch),
+        f"collector.frames_per_batch={TOGETHER[width]}",
+        *particular.get(name, []),
+    ]
 
 
 def flops(name: str, batch: int, width: int) -> int:
     """Operations of one update of a contestant."""
-    pure_imitation = batch if name.startswith(("ours_bc_sac_fp32", "ours_bc_sac_bf16")) else 0
+    own_rows = name.startswith("ours_bc_sac") and "mixed" not in name
+    pure_imitation = batch if own_rows else 0
     return update_flops(width, batch, demo_rows=pure_imitation)
 
 
@@ -49,8 +60,7 @@ def entries(effort: Effort, width: int, batch: int) -> list[Entry]:
                 "precision": precision,
                 "replay_rows": rows,
                 "demo_rows": effort.demo_rows,
-                # The target moves every second update: two of them are the whole rhythm.
-                "updates": 2,
+                "updates": TOGETHER[width],
             },
             threads,
         )
@@ -67,7 +77,7 @@ def entries(effort: Effort, width: int, batch: int) -> list[Entry]:
         for name, package, steps in (
             ("sb3", "stable_baselines3", 1),
             ("sbx_single", "sbx", 1),
-            ("sbx_looped", "sbx", SBX_STEPS[width]),
+            ("sbx_looped", "sbx", TOGETHER[width]),
         )
     ]
     torchrl = Entry("torchrl", "benchmarks.baselines:make_torchrl_sac", shared, threads)

@@ -233,7 +233,9 @@ class Config:
     device: str = "cpu"
     torch_threads: int | None = None  # intra-op threads; null = measured when the run starts
     precision: str = "fp32"  # of hidden layers: fp32 | bf16 | auto (bf16 where it is faster)
-    compile_updates: bool | None = None  # null = on a CPU, for 10,000 updates or more, if possible
+    # Of a CPU, where null = in a run of 10,000 updates or more, if it can and if it pays:
+    compile_updates: bool | None = None  # compile the gradients' arithmetic
+    onednn: bool | None = None  # multiply float32 matrices by oneDNN, not by MKL
     cuda_graphs: bool | None = None  # replay updates as CUDA graphs; null = if device is CUDA
     run_dir: str = MISSING
     resume: str | None = None  # a run directory to continue

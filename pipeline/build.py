@@ -14,6 +14,7 @@ from pipeline.cloning import build_offline
 from pipeline.components import Demonstrations
 from pipeline.compute import resolve_compute
 from pipeline.online import build_online
+from pipeline.products import use_onednn
 from pipeline.run_dir import create_run_dir, save_config
 from pipeline.time_use import TimeUse
 from pipeline.trainer import Run, seed_everything
@@ -39,6 +40,7 @@ def build_run(config: Config, *, resume: bool = False) -> Run:
         run_dir = Path(config.run_dir)
         config = resolve_compute(config)
         torch.set_num_threads(config.torch_threads or 1)
+        use_onednn(bool(config.onednn))
         if resume:
             checkpoint = latest_checkpoint(run_dir)
             run = _compose(config, run_dir, time_use)

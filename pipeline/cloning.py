@@ -112,7 +112,7 @@ def behaviour_cloned(
     ]
     identity += [OmegaConf.to_container(part) for part in (config.actor, config.bc)]
     identity += [config.loss.imitation, config.loss.action_margin, config.precision]
-    identity += [config.compile_updates]
+    identity += [config.compile_updates, config.onednn]
     digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:16]
     run_dir = Path(config.cache_dir) / f"bc-{digest}"
     complete = run_dir / "complete"

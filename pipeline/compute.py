@@ -7,6 +7,8 @@ import statistics
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import nullcontext
+from functools import partial
 from typing import Any
 
 import psutil
@@ -15,6 +17,7 @@ from omegaconf import OmegaConf
 
 from configs.schema import Config
 from pipeline.compilation import why_not_compiled
+from pipeline.products import onednn_products, onednn_wins
 
 PRECISIONS = {"fp32": None, "bf16": torch.bfloat16}
 """What the hidden layers compute in; ``None`` is the parameters' own float32."""
@@ -26,8 +29,9 @@ WORTH_A_THREAD = 0.85
 WORTH_ROUNDING = 0.7
 """bfloat16 must take the products to this share of float32's time to be chosen."""
 
-WORTH_COMPILING = 10_000
-"""Updates from which on compiling pays: it takes up to 20 s, and saves 2 ms an update or more."""
+MANY_UPDATES = 10_000
+"""From so many on, a run on a processor looks for what makes an update faster: compiling takes up
+to 20 s and saves 2 ms an update or more."""
 
 Clock = Callable[[int, torch.dtype], float]
 """Seconds that the products of an update take with so many threads in this precision."""
@@ -38,8 +42,9 @@ def resolve_compute(config: Config, clock: Clock | None = None) -> Config:
 
     ``torch_threads: null`` becomes the smallest count that is not clearly slower than a larger one,
     among the cores that other work leaves free; ``precision: auto`` becomes bf16 where the machine
-    multiplies matrices of the run's size clearly faster in it, else fp32; ``compile_updates: null``
-    becomes true on a processor that can, for a run of many updates. The decision is saved with the
+    multiplies matrices of the run's size clearly faster in it, else fp32. For a run of many updates
+    on a processor, ``compile_updates: null`` becomes true where there is a compiler, and ``onednn:
+    null`` where oneDNN multiplies clearly faster and as exactly. The decision is saved with the
     run: a resumed run, and one that repeats it elsewhere, computes as it did.
 
     Args:
@@ -60,15 +65,21 @@ def resolve_compute(config: Config, clock: Clock | None = None) -> Config:
     threads, precision = config.torch_threads, config.precision
     if threads is None:
         threads = _fastest_threads(clock) if config.device == "cpu" else _free_cores()
+    many = config.device == "cpu" and _updates(config) >= MANY_UPDATES
+    onednn = config.onednn
+    if onednn is None:
+        onednn = many and onednn_wins(partial(clock, threads, torch.float32))
     if precision == "auto":
-        share = clock(threads, torch.bfloat16) / clock(threads, torch.float32)
+        with onednn_products() if onednn else nullcontext():
+            share = clock(threads, torch.bfloat16) / clock(threads, torch.float32)
         precision = "bf16" if share < WORTH_ROUNDING else "fp32"
     decided: Any = OmegaConf.merge(
         config,
         {
             "torch_threads": threads,
             "precision": precision,
-            "compile_updates": _compiles_updates(config),
+            "onednn": onednn,
+            "compile_updates": _compiles_updates(config.compile_updates, many),
         },
     )
     return decided
@@ -94,9 +105,8 @@ def replays_updates(config: Config) -> bool:
     return on_cuda if config.cuda_graphs is None else config.cuda_graphs
 
 
-def _compiles_updates(config: Config) -> bool:
-    wanted = config.compile_updates
-    if wanted is None and not (config.device == "cpu" and _updates(config) >= WORTH_COMPILING):
+def _compiles_updates(wanted: bool | None, many: bool) -> bool:
+    if wanted is None and not many:
         return False
     problem = None if wanted is False else why_not_compiled()
     if problem is None:

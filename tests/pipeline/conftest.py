@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from pipeline.products import use_onednn
 from tests.pipeline.toys import write_demos
 
 
@@ -17,6 +18,7 @@ def seed() -> Iterator[None]:
     torch.manual_seed(0)
     yield
     torch.set_num_threads(threads)
+    use_onednn(False)
 
 
 @pytest.fixture
