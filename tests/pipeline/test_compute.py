@@ -130,7 +130,8 @@ def test_bf16_is_chosen_only_where_it_is_clearly_faster(share: float, expected: 
 
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 def test_given_values_are_kept_and_nothing_is_measured(precision: str):
-    given = ["torch_threads=3", f"precision={precision}", "compile_updates=false"]
+    given = ["torch_threads=3", f"precision={precision}"]
+    given += ["compile_updates=false", "onednn=true"]
     config = open_config(*given)
     assert resolve_compute(config, refused) == config
 
@@ -147,7 +148,8 @@ def test_only_what_was_open_changes_and_only_in_the_copy():
     decided = resolve_compute(config, FakeClock(1.0, 0.5, 0.5, 0.5, bf16_share=0.5))
     assert OmegaConf.to_container(config) == before
     assert before["torch_threads"] is None
-    expected = before | {"torch_threads": 2, "precision": "bf16", "compile_updates": False}
+    expected = before | {"torch_threads": 2, "precision": "bf16"}
+    expected |= {"compile_updates": False, "onednn": False}
     assert OmegaConf.to_container(decided) == expected
 
 
@@ -294,14 +296,47 @@ def test_updates_are_compiled_where_there_are_many(
     overrides: list[str], expected: bool, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(compute, "why_not_compiled", lambda: None)
+    monkeypatch.setattr(compute, "onednn_wins", lambda seconds: False)
     assert resolve_compute(open_config(*overrides), refused).compile_updates is expected
 
 
 def test_a_machine_that_cannot_compile_is_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(compute, "why_not_compiled", lambda: "no g++")
+    monkeypatch.setattr(compute, "onednn_wins", lambda seconds: False)
     with pytest.warns(UserWarning, match=r"not compiled .*no g\+\+.* compile_updates=false"):
         decided = resolve_compute(open_config(*LONG), refused)
     assert decided.compile_updates is False
     with pytest.raises(ValueError, match=r"compile_updates=true needs .*no g\+\+"):
         resolve_compute(open_config(*SHORT, "compile_updates=true"), refused)
     assert resolve_compute(open_config(*SHORT), refused).compile_updates is False
+
+
+@pytest.mark.parametrize(
+    ("overrides", "wins", "expected"),
+    [
+        (LONG, True, True),
+        (LONG, False, False),
+        (SHORT, True, False),
+        ([*LONG, "onednn=false"], True, False),
+        ([*SHORT, "onednn=true"], False, True),
+        ([*LONG, "device=cuda"], True, False),
+    ],
+)
+def test_onednn_multiplies_where_it_wins(
+    overrides: list[str], wins: bool, expected: bool, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(compute, "onednn_wins", lambda seconds: wins)
+    options = [*overrides, "compile_updates=false"]
+    assert resolve_compute(open_config(*options), refused).onednn is expected
+
+
+def test_bf16_is_compared_with_the_library_that_multiplies():
+    def clock(threads: int, dtype: torch.dtype) -> float:
+        if dtype == BF16:
+            return 1.0
+        onednn = torch.backends.mkldnn.matmul.fp32_precision == "bf16"
+        return 1.2 if onednn else 2.0
+
+    for onednn, expected in (("true", "fp32"), ("false", "bf16")):
+        options = ["torch_threads=1", "precision=auto", f"onednn={onednn}"]
+        assert resolve_compute(open_config(*options), clock).precision == expected
