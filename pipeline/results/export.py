@@ -44,7 +44,7 @@ def export_policy(seed: Seed, run_dir: Path, folder: Path, *, name: str) -> None
     policy, origin = load_policy(config, run_dir)
     folder.mkdir(parents=True, exist_ok=True)
     save_weights(policy, folder / WEIGHTS, frames=origin.frames)
-    # Of the paths only names stay: others have other folders.
+    # Of the paths only names stay: others have other folders, and other machines.
     portable = OmegaConf.merge(
         config,
         {
@@ -53,6 +53,8 @@ def export_policy(seed: Seed, run_dir: Path, folder: Path, *, name: str) -> None
             "cache_dir": Config.cache_dir,
             "demos": {"source": Path(config.demos.source).name},
             "torch_threads": None,
+            "compile_updates": None,
+            "onednn": None,
             "env": {"num_threads": None},
         },
     )

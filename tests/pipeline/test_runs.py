@@ -214,8 +214,9 @@ def test_the_run_directory_says_what_was_run(tmp_path: Path, demos: Path):
     config = tiny_config("dbc_sac", tmp_path, demos, "seed=7", "loss.bc_weight.init=3")
     run = build_run(config)
     saved = OmegaConf.load(run.run_dir / CONFIG)
-    assert saved.torch_threads >= 1  # measured
+    assert saved.torch_threads >= 1  # measured, and the others decided
     saved.torch_threads = config.torch_threads
+    saved.compile_updates = saved.onednn = None
     assert OmegaConf.to_container(saved) == OmegaConf.to_container(config)
     assert "${" not in (run.run_dir / CONFIG).read_text()
     assert load_config(run.run_dir) == run.config
