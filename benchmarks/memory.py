@@ -29,6 +29,7 @@ def run(effort: Effort) -> dict[str, Any]:
         short = [
             *chosen,
             "precision=auto",
+            "compile_updates=true",  # as in the whole run, which has updates enough
             "pretrain=false",
             "demos.multiply.enabled=false",
             f"collector.total_frames={frames}",

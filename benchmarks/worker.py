@@ -178,9 +178,11 @@ def race(entries: Sequence[Entry], *, rounds: int, block_s: float) -> dict[str, 
     seconds: dict[str, list[float]] = {name: [] for name in names}
     peak: dict[str, float] = {}
     with ExitStack() as stack:
-        workers = [stack.enter_context(Worker(entry)) for entry in entries]
-        for worker in workers:
-            worker.receive()
+        workers = []
+        for entry in entries:
+            workers.append(stack.enter_context(Worker(entry)))
+            # One after the other: what a contestant decides by measuring, it decides undisturbed.
+            workers[-1].receive()
         for number in range(rounds):
             # Another one begins each round, so that none always follows the same neighbour.
             first = number % len(workers)
