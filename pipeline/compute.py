@@ -29,7 +29,7 @@ WORTH_A_THREAD = 0.85
 WORTH_ROUNDING = 0.7
 """bfloat16 must take the products to this share of float32's time to be chosen."""
 
-MANY_UPDATES = 10_000
+MANY_UPDATES = 5_000
 """From so many on, a run on a processor looks for what makes an update faster: compiling takes up
 to 20 s and saves 2 ms an update or more."""
 

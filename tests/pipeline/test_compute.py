@@ -276,8 +276,8 @@ def test_no_other_device_replays_updates():
         replays_updates(open_config("cuda_graphs=true"))
 
 
-LONG = ["torch_threads=1", "optim.updates_per_frame=0.5", "collector.total_frames=20000"]
-SHORT = [*LONG[:2], "collector.total_frames=19990"]
+LONG = ["torch_threads=1", "optim.updates_per_frame=0.5", "collector.total_frames=10000"]
+SHORT = [*LONG[:2], "collector.total_frames=9990"]
 
 
 @pytest.mark.parametrize(
@@ -288,8 +288,8 @@ SHORT = [*LONG[:2], "collector.total_frames=19990"]
         ([*LONG, "compile_updates=false"], False),
         ([*SHORT, "compile_updates=true"], True),
         ([*LONG, "device=cuda"], False),
-        ([*SHORT, "offline=true", "bc.updates=10000"], True),
-        ([*LONG, "offline=true", "bc.updates=9999"], False),
+        ([*SHORT, "offline=true", "bc.updates=5000"], True),
+        ([*LONG, "offline=true", "bc.updates=4999"], False),
     ],
 )
 def test_updates_are_compiled_where_there_are_many(
