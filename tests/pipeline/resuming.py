@@ -97,3 +97,16 @@ def interrupted(config: Config) -> Run:
     run.trainer.total_frames = HALF
     run.train()
     return run
+
+
+def whole_and_halved(folder: Path, demos: Path, *options: str) -> tuple[Run, Run]:
+    """An uninterrupted run and one that was stopped half-way and resumed, both at their end."""
+    whole = build_run(long_config(folder / "whole", demos, *options))
+    whole.train()
+    config = long_config(folder / "halved", demos, *options)
+    interrupted(config)
+    torch.manual_seed(4321)  # whatever happened before must not matter
+    halved = build_run(config, resume=True)
+    assert halved.trainer.collected_frames == HALF
+    halved.train()
+    return whole, halved

@@ -14,14 +14,13 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from losses import BCSACLoss, LinearWeight
-from pipeline.build import build_run
 from pipeline.compilation import Compiled, compiled, why_not_compiled
 from pipeline.critics import BatchedCritics
 from pipeline.gradients import Gradients
 from pipeline.imitation import ImitationStepper
 from pipeline.networks import make_actor
 from pipeline.stepper import BCSACStepper, StepRhythm
-from tests.pipeline.resuming import HALF, differences, everything, interrupted, long_config
+from tests.pipeline.resuming import differences, everything, whole_and_halved
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
 
 needs_compiler = pytest.mark.skipif(
@@ -176,12 +175,5 @@ def test_a_resumed_compiled_run_is_the_uninterrupted_one(tmp_path: Path, demos: 
     # Sums are split among the threads, so that their number is part of what a compiled run is: a
     # resumed run finds it in its directory, and these must not each measure it for themselves.
     options = ("compile_updates=true", "torch_threads=2")
-    whole = build_run(long_config(tmp_path / "whole", demos, *options))
-    whole.train()
-    config = long_config(tmp_path / "halved", demos, *options)
-    interrupted(config)
-    torch.manual_seed(4321)  # whatever happened before must not matter
-    halved = build_run(config, resume=True)
-    assert halved.trainer.collected_frames == HALF
-    halved.train()
+    whole, halved = whole_and_halved(tmp_path, demos, *options)
     assert differences(everything(halved), everything(whole)) == []

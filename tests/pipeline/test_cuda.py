@@ -14,12 +14,11 @@ from pipeline.evaluate_run import evaluate_run
 from pipeline.random_state import kept_random_state
 from pipeline.trainer import Run
 from tests.pipeline.resuming import (
-    HALF,
     curve_of,
     differences,
     everything,
-    interrupted,
     long_config,
+    whole_and_halved,
 )
 from tests.pipeline.toys import tiny_config
 
@@ -41,14 +40,7 @@ def test_a_variant_trains_and_is_evaluated(variant: str, tmp_path: Path, demos: 
 @pytest.mark.parametrize("cuda_graphs", ["true", "false"])
 def test_a_resumed_run_is_the_uninterrupted_one(cuda_graphs: str, tmp_path: Path, demos: Path):
     options = ("device=cuda", f"cuda_graphs={cuda_graphs}")
-    whole = build_run(long_config(tmp_path / "whole", demos, *options))
-    whole.train()
-    config = long_config(tmp_path / "halved", demos, *options)
-    interrupted(config)
-    torch.manual_seed(4321)  # whatever happened before must not matter
-    halved = build_run(config, resume=True)
-    assert halved.trainer.collected_frames == HALF
-    halved.train()
+    whole, halved = whole_and_halved(tmp_path, demos, *options)
     assert differences(everything(halved), everything(whole)) == []
     assert curve_of(halved.run_dir) == curve_of(whole.run_dir)
 
