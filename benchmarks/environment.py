@@ -25,16 +25,24 @@ from envs.door.task import ACTION_SIZE, HORIZON
 CALL_STEPS = 20
 """Steps of one call, so that the loop around it costs nothing."""
 
+RECORDED = 8
+"""Doors whose episodes are recorded for states to begin with."""
+
 
 class Doors:
-    """``make_env("door")`` with automatic resets, as the collector steps it."""
+    """``make_env("door")`` with automatic resets, as the collector steps it.
+
+    Doors stand in all phases of an episode from the start: the first steps after a reset, before
+    anything is touched, cost less than the others, and a block of many doors is but a few steps.
+    """
 
     def __init__(self, count: int, threads: int) -> None:
         self.env = make_env("door", num_envs=count, seed=0, num_threads=threads)
         self.td: TensorDictBase = self.env.reset()
+        self.env.set_extra_state(_states_in_all_phases(count))
         self.steps = max(1, CALL_STEPS // count)
         self.units = float(self.steps * count)
-        self.actions = torch.rand(HORIZON, count, ACTION_SIZE) * 2 - 1
+        self.actions = _random_actions(count)
         self.step = 0
 
     def call(self) -> None:
@@ -43,6 +51,26 @@ class Doors:
             self.td["action"] = self.actions[self.step % HORIZON]
             _, self.td = self.env.step_and_maybe_reset(self.td)
             self.step += 1
+
+
+def _random_actions(count: int) -> torch.Tensor:
+    return torch.rand(HORIZON, count, ACTION_SIZE) * 2 - 1
+
+
+def _states_in_all_phases(count: int) -> dict[str, torch.Tensor]:
+    """What ``DoorEnv.set_extra_state`` takes: doors taken evenly from those of some episodes."""
+    env = make_env("door", num_envs=RECORDED, seed=0)
+    td = env.reset()
+    states = []
+    for action in _random_actions(RECORDED):
+        states.append(env.get_extra_state())
+        td = env.step_mdp(env.step(td.set("action", action)))
+    env.close()
+    evenly = torch.linspace(0, RECORDED * HORIZON - 1, count).long()
+    joined = {
+        key: torch.cat([state[key] for state in states]) for key in states[0] if key != "seed"
+    }
+    return {key: values[evenly] for key, values in joined.items()} | {"seed": states[0]["seed"]}
 
 
 class RawStepping:

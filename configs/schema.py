@@ -23,6 +23,7 @@ class EnvConfig:
     num_envs: int = 1  # copies stepped in one batch
     num_threads: int | None = None  # physics threads; null = one per core
     horizon: int | None = None  # control steps per episode; null = the task's own (door: 200)
+    open_steps: int | None = None  # a training episode ends after so many steps with an open door
 
 
 @dataclass

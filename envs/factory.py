@@ -45,6 +45,7 @@ def make_env(
     device: torch.device | str = "cpu",
     num_threads: int | None = None,
     horizon: int | None = None,
+    open_steps: int | None = None,
 ) -> EnvBase:
     """Build an environment that SAC can be pointed at.
 
@@ -60,10 +61,12 @@ def make_env(
         num_threads: Threads that step the door; the others are stepped one after another.
         horizon: Steps until truncation. Default: the task's own limit, which `horizon` can shorten
             but, for gymnasium and dm_control, not extend.
+        open_steps: Of the door: see `DoorEnv`.
 
     Raises:
         UnknownEnvironmentError: If the name has another form or the library does not know it.
-        ValueError: If a count is below 1, or the task's actions are not bounded and continuous.
+        ValueError: If a count is below 1, the task's actions are not bounded and continuous, or
+            `open_steps` is given for a task that has no door.
     """
     if num_envs < 1:
         raise ValueError(f"num_envs must be at least 1, got {num_envs}")
@@ -71,7 +74,19 @@ def make_env(
         raise ValueError(f"horizon must be at least 1 step (or None), got {horizon}")
     if name == "door":
         steps = task.HORIZON if horizon is None else horizon
-        return DoorEnv(num_envs, horizon=steps, num_threads=num_threads, seed=seed, device=device)
+        return DoorEnv(
+            num_envs,
+            horizon=steps,
+            open_steps=open_steps,
+            num_threads=num_threads,
+            seed=seed,
+            device=device,
+        )
+    if open_steps is not None:
+        raise ValueError(
+            f"open_steps={open_steps} ends episodes whose door is open, and {name!r} has no door: "
+            "leave it out (env.open_steps=null)"
+        )
     library, separator, wanted = name.partition(":")
     if not separator or library not in _LIBRARIES:
         raise UnknownEnvironmentError(f"unknown environment {name!r}; valid: {VALID_NAMES}")

@@ -13,12 +13,29 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.data import ImmutableDatasetWriter, LazyTensorStorage, TensorDictReplayBuffer
+
+
+class RowStorage(LazyTensorStorage):
+    """Rows, of which many are read at a time.
+
+    ``index_select`` gives what indexing with a tensor gives, which is what the base class does, in
+    a fifth of the time (docs/performance.md).
+    """
+
+    def get(self, index: Any) -> TensorDictBase:
+        """The rows at ``index``: a vector of positions, or whatever else indexes a tensor."""
+        if not (isinstance(index, Tensor) and index.dtype == torch.long and index.ndim == 1):
+            return super().get(index)
+        rows: TensorDictBase = super().get(slice(None))
+        index = index.to(rows.device)
+        return rows.apply(lambda column: column.index_select(0, index), batch_size=index.shape)
 
 
 def make_buffer(capacity: int, device: torch.device | str = "cpu") -> TensorDictReplayBuffer:
     """A ring of ``capacity`` rows sampled uniformly with replacement."""
-    return TensorDictReplayBuffer(storage=LazyTensorStorage(capacity, device=device))
+    return TensorDictReplayBuffer(storage=RowStorage(capacity, device=device))
 
 
 def make_core_buffer(
@@ -31,7 +48,7 @@ def make_core_buffer(
     """
     if rows.shape[0] == 0:  # numel() of an empty TensorDict is 1
         raise ValueError("The demonstrations hold no transitions; check demos.source.")
-    storage = LazyTensorStorage(rows.shape[0], device=device)
+    storage = RowStorage(rows.shape[0], device=device)
     storage.set(range(rows.shape[0]), rows.to(device))
     return TensorDictReplayBuffer(storage=storage, writer=ImmutableDatasetWriter())
 

@@ -137,6 +137,7 @@ def make_training_env(config: Config) -> EnvBase:
         device=config.device,
         num_threads=config.env.num_threads,
         horizon=config.env.horizon,
+        open_steps=config.env.open_steps,
     )
 
 

@@ -25,8 +25,9 @@ class DoorEnv(EnvBase):
     ``reward`` [N, 1], ``done`` / ``terminated`` / ``truncated`` [N, 1] bool, and with every
     observation ``hinge_angle`` [N, 1] (rad) and ``success`` [N, 1] bool (hinge > 1.35 rad now).
 
-    An episode is *truncated* by the environment itself after `horizon` steps and *terminated* only
-    when the hand leaves the door (`envs.door.task.terminated`).
+    An episode is *truncated* by the environment itself after `horizon` steps, or once the door has
+    been open for `open_steps`, and *terminated* only when the hand leaves the door
+    (`envs.door.task.terminated`).
 
     A tensordict with ``door_position`` [N, 3] (m) given to `reset` places the doors for that reset;
     without it, and at automatic resets, positions are drawn per door from `envs.door.starts`.
@@ -38,6 +39,9 @@ class DoorEnv(EnvBase):
     Args:
         num_doors: N >= 1.
         horizon: Steps until truncation.
+        open_steps: Truncates an episode after so many steps in a row with an open door (`success`):
+            for training, which then spends its steps on opening doors. Default: never, as an
+            episode is judged by all of its steps (paper, section IV-A).
         num_threads: Threads of the simulator. Default: one per core, at most N.
         seed: Seed of the door positions. Default: fresh entropy, not reproducible.
         device: Where the tensors live. The physics itself runs on the CPU.
@@ -51,15 +55,19 @@ class DoorEnv(EnvBase):
         num_doors: int = 1,
         *,
         horizon: int = task.HORIZON,
+        open_steps: int | None = None,
         num_threads: int | None = None,
         seed: int | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
         if horizon < 1:
             raise ValueError(f"horizon must be at least 1 step, got {horizon}")
+        if open_steps is not None and open_steps < 1:
+            raise ValueError(f"open_steps must be at least 1 step (or None), got {open_steps}")
         simulator = DoorSimulator(num_doors, num_threads)
         super().__init__(device=device, batch_size=[num_doors])
         self.horizon = horizon
+        self.open_steps = open_steps
         self.simulator = simulator
         self._make_specs()
         self._set_seed(seed)
@@ -109,6 +117,7 @@ class DoorEnv(EnvBase):
         self._seed = seed
         self._episodes = np.zeros(self.num_doors, dtype=np.int64)
         self._elapsed = np.zeros(self.num_doors, dtype=np.int64)
+        self._open = np.zeros(self.num_doors, dtype=np.int64)
 
     def _reset(self, tensordict: TensorDictBase | None, **_: object) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -127,6 +136,7 @@ class DoorEnv(EnvBase):
         # A given position consumes its turn too: the k-th episode has one address, however begun.
         self._episodes[doors] += 1
         self._elapsed[doors] = 0
+        self._open[doors] = 0
         observation = self.simulator.observation()
         return self._tensordict(self._observed(observation) | self._flags(observation, doors))
 
@@ -140,6 +150,7 @@ class DoorEnv(EnvBase):
         )
         observation = self.simulator.step(action, active)
         self._elapsed += active
+        self._open = np.where(active, (self._open + 1) * task.success(observation), self._open)
         reward = np.where(active, task.reward(observation), np.float32(0))
         return self._tensordict(
             self._observed(observation) | self._flags(observation) | {"reward": reward}
@@ -160,6 +171,8 @@ class DoorEnv(EnvBase):
             # A door may be placed out of reach on request: its episode still has a first step.
             terminated[fresh] = False
         truncated = self._elapsed >= self.horizon
+        if self.open_steps is not None:
+            truncated |= self._open >= self.open_steps
         return {
             "terminated": terminated,
             "truncated": truncated,
@@ -179,6 +192,7 @@ class DoorEnv(EnvBase):
             "seed": np.asarray(self._seed, dtype=np.int64),
             "episodes": self._episodes.copy(),
             "elapsed": self._elapsed.copy(),
+            "open": self._open.copy(),
         }
         return {key: torch.from_numpy(np.asarray(value)) for key, value in arrays.items()}
 
@@ -199,6 +213,8 @@ class DoorEnv(EnvBase):
         self._seed = int(arrays["seed"])
         self._episodes = arrays["episodes"].copy()
         self._elapsed = arrays["elapsed"].copy()
+        # Not in states from before there was `open_steps`.
+        self._open = arrays.get("open", np.zeros_like(self._elapsed)).copy()
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """Stop the simulator's threads."""

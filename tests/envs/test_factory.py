@@ -82,9 +82,10 @@ def test_actions_are_rescaled_to_the_task_s_own_bounds():
 
 
 def test_the_door_gets_its_options():
-    env = make_env("door", num_envs=2, seed=5, num_threads=1, horizon=7)
+    env = make_env("door", num_envs=2, seed=5, num_threads=1, horizon=7, open_steps=4)
     assert isinstance(env, DoorEnv)
     assert (env.horizon, env.simulator.num_threads, env.num_doors) == (7, 1, 2)
+    assert env.open_steps == 4
     env.reset()
     other = DoorEnv(2, seed=5)
     other.reset()
@@ -110,6 +111,11 @@ def test_unknown_names(name, message):
 def test_counts_must_be_positive(option):
     with pytest.raises(ValueError, match=option):
         make_env("gymnasium:Pendulum-v1", **{option: 0})
+
+
+def test_open_steps_need_a_door():
+    with pytest.raises(ValueError, match=r"open_steps=4.*has no door.*env\.open_steps=null"):
+        make_env("gymnasium:Pendulum-v1", open_steps=4)
 
 
 def test_discrete_actions_are_refused():

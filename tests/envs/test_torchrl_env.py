@@ -205,6 +205,74 @@ def test_resumes_bit_for_bit_from_a_file(tmp_path):
     assert torch.equal(other.door_position, expected_positions)
 
 
+def open_door(env: DoorEnv, door: int) -> None:
+    """Swings a door open, out of the hand's way, and leaves it there."""
+    qpos = env.simulator.qpos[[door]]
+    qpos[:, env.simulator.scene.hinge_qpos] = 1.5
+    env.simulator.reset(env.simulator.door_position[[door]], [door], qpos)
+
+
+def truncated_after(env: DoorEnv, steps: int) -> torch.Tensor:
+    """What `truncated` is after each of some steps without a reset, [N, steps]."""
+    td, still = TensorDict({}, env.batch_size), torch.zeros(env.num_doors, 28)
+    td = td.set("action", still)
+    return torch.cat([env.step(td)["next", "truncated"] for _ in range(steps)], -1)
+
+
+def test_an_open_door_ends_its_episode():
+    env = DoorEnv(2, seed=0, open_steps=3)
+    env.reset()
+    assert not truncated_after(env, 4).any()
+    open_door(env, 1)
+    assert truncated_after(env, 4).tolist() == [[False] * 4, [False, False, True, True]]
+
+
+def test_an_open_door_ends_no_episode_unless_asked():
+    env = DoorEnv(1, seed=0)
+    env.reset()
+    open_door(env, 0)
+    assert not truncated_after(env, 10).any()
+
+
+def test_steps_with_an_open_door_count_in_a_row_and_within_an_episode():
+    env = DoorEnv(1, seed=0, open_steps=3)
+    env.reset()
+    for _ in range(2):
+        open_door(env, 0)
+        assert not truncated_after(env, 2).any()
+        env.simulator.reset(env.simulator.door_position)  # closed again
+        assert not truncated_after(env, 1).any()
+    open_door(env, 0)
+    truncated_after(env, 2)
+    env.reset()
+    open_door(env, 0)
+    assert not truncated_after(env, 2).any()
+
+
+def test_steps_with_an_open_door_are_saved():
+    env, other = (DoorEnv(1, seed=0, open_steps=3) for _ in range(2))
+    env.reset()
+    open_door(env, 0)
+    truncated_after(env, 2)
+    other.load_state_dict(env.state_dict())
+    assert truncated_after(other, 1).all()
+
+
+def test_a_door_that_is_left_out_does_not_count_on():
+    env = DoorEnv(2, seed=0, open_steps=2)
+    env.reset()
+    for door in range(2):
+        open_door(env, door)
+    td = TensorDict({"action": torch.zeros(2, 28), "_step": torch.tensor([True, False])}, [2])
+    for expected in ([[False], [False]], [[True], [False]]):
+        assert env.step(td.clone())["next", "truncated"].tolist() == expected
+
+
+def test_open_steps_below_one_are_refused():
+    with pytest.raises(ValueError, match="open_steps must be at least 1 step"):
+        DoorEnv(1, open_steps=0)
+
+
 def test_state_of_another_number_of_doors_is_refused():
     with pytest.raises(ValueError, match=r"holds 2 doors.*has 1: build it with num_doors=2"):
         DoorEnv(1).set_extra_state(DoorEnv(2).get_extra_state())

@@ -190,3 +190,23 @@ def test_batches_of_d_drawn_together_are_draws_of_their_own():
     drawn = d.sample_batches(1000, 5)["observation"][..., 0]
     # The standard error is sqrt(0.1 * 0.9 / 4995) < 0.0043.
     assert (drawn[1:] == drawn[:-1]).float().mean().item() == pytest.approx(0.1, abs=0.018)
+
+
+def test_a_sample_is_what_its_positions_say():
+    buffer = make_buffer(8)
+    for tag in range(5):  # the ring is not full
+        buffer.extend(tagged_rows(float(tag), 1))
+    sample = buffer.sample(64)
+    assert tags(sample) == {0.0, 1.0, 2.0, 3.0, 4.0}
+    assert torch.equal(sample["observation"][:, 0], sample["index"].float())
+
+
+def test_rows_are_read_by_whatever_indexes_a_tensor():
+    buffer = make_buffer(8)
+    buffer.extend(torch.cat([tagged_rows(float(tag), 1) for tag in range(5)]))
+    mask = torch.tensor([True, False, False, True, False])
+    assert tags(buffer[mask]) == {0.0, 3.0}
+    assert tags(buffer[1:3]) == {1.0, 2.0}
+    assert float(buffer[2]["observation"][0]) == 2.0
+    with pytest.raises(IndexError):
+        buffer[torch.tensor([5])]

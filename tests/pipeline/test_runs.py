@@ -13,7 +13,7 @@ from configs import Config
 from envs.door import task
 from pipeline.build import build_run
 from pipeline.cloning import behaviour_cloned
-from pipeline.components import make_demonstrations, make_rows
+from pipeline.components import make_demonstrations, make_rows, make_training_env
 from pipeline.evaluate_run import evaluate_run
 from pipeline.policy import load_policy
 from pipeline.run_dir import (
@@ -63,6 +63,13 @@ def test_sac_runs_on_other_tasks_without_a_change(env: str, tmp_path: Path, demo
     assert len(part(run, "main_buffer")) == 40
     result = evaluate_run(run.run_dir, episodes=2)
     assert result["length_mean"] == 10.0
+
+
+def test_training_doors_get_their_options(tmp_path: Path, demos: Path):
+    config = tiny_config("sac", tmp_path, demos, "env.open_steps=7", "env.num_envs=3")
+    env = make_training_env(config)
+    assert (env.open_steps, env.horizon, env.num_doors) == (7, config.env.horizon, 3)
+    env.close()
 
 
 def test_the_trainer_keeps_no_history_of_what_it_logged(tmp_path: Path, demos: Path):
