@@ -205,8 +205,10 @@ def test_rows_are_read_by_whatever_indexes_a_tensor():
     buffer = make_buffer(8)
     buffer.extend(torch.cat([tagged_rows(float(tag), 1) for tag in range(5)]))
     mask = torch.tensor([True, False, False, True, False])
-    assert tags(buffer[mask]) == {0.0, 3.0}
-    assert tags(buffer[1:3]) == {1.0, 2.0}
-    assert float(buffer[2]["observation"][0]) == 2.0
+    get = buffer.storage.get
+    assert tags(get(mask)) == {0.0, 3.0}
+    assert tags(get(slice(1, 3))) == {1.0, 2.0}
+    assert tags(get(torch.tensor([[1, 2], [4, 4]])).flatten()) == {1.0, 2.0, 4.0}
+    assert float(get(2)["observation"][0]) == 2.0
     with pytest.raises(IndexError):
-        buffer[torch.tensor([5])]
+        get(torch.tensor([5]))
