@@ -13,72 +13,28 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from losses import BCSACLoss, LinearWeight
+from losses import BCSACLoss
 from pipeline.compilation import Compiled, compiled, why_not_compiled
-from pipeline.critics import BatchedCritics
 from pipeline.gradients import Gradients
 from pipeline.imitation import ImitationStepper
-from pipeline.networks import make_actor
-from pipeline.stepper import BCSACStepper, StepRhythm
 from tests.pipeline.resuming import differences, everything, whole_and_halved
-from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
+from tests.pipeline.toys import make_batch
+from tests.pipeline.updating import (
+    UPDATES,
+    learnt,
+    make_loss,
+    make_stepper,
+    marked,
+    marked_and_unmarked,
+)
 
 needs_compiler = pytest.mark.skipif(
     why_not_compiled() is not None, reason=f"cannot compile here: {why_not_compiled()}"
 )
 
-UPDATES = 20
-MAIN_ROWS, DEMO_ROWS = 8, 4
-
-
-def make_loss(**options) -> BCSACLoss:
-    """Networks with everything that the pipeline's can have."""
-    hidden = {"hidden_dtype": options.pop("hidden_dtype", None)}
-    actor = make_actor(OBSERVATION_SIZE, ACTION_SIZE, [16, 16], **hidden)
-    critic = BatchedCritics(OBSERVATION_SIZE, ACTION_SIZE, [16, 16], 3, layer_norm=True, **hidden)
-    return BCSACLoss(
-        actor,
-        critic,
-        target_entropy=-float(ACTION_SIZE),
-        main_rows=MAIN_ROWS,
-        # Another weight at each update: a compilation must not keep that of its own.
-        bc_weight=LinearWeight(init=1.0, final=0.2, duration=UPDATES),
-        **options,
-    )
-
-
-def make_stepper(loss: BCSACLoss, **options) -> BCSACStepper:
-    return BCSACStepper(
-        loss,
-        actor_lr=1e-3,
-        critic_lr=2e-3,
-        temperature_lr=3e-3,
-        rhythm=StepRhythm(target_period=2, diagnostics_period=3, actor_delay=2),
-        anneal_updates=UPDATES,
-        **options,
-    )
-
-
-def learnt(loss: BCSACLoss, stepper, given: list[TensorDict]) -> tuple[dict, list[dict], Tensor]:
-    """Weights, results of the steps and the next random number."""
-    torch.manual_seed(3)
-    found = [stepper.step(None, batch.clone()).to_dict() for batch in given]
-    weights = {name: value.clone() for name, value in loss.named_parameters()}
-    return weights, found, torch.rand(1)
-
 
 def close(found: object, expected: object) -> None:
     torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9, equal_nan=True)
-
-
-def marked_and_unmarked(count: int) -> list[TensorDict]:
-    """Marked batches, and every fifth one without marks and of another size (DA-SAC)."""
-    sizes = [(5, None) if i % 5 == 4 else (MAIN_ROWS + DEMO_ROWS, DEMO_ROWS) for i in range(count)]
-    return [make_batch(rows, demos) for rows, demos in sizes]
-
-
-def marked(count: int) -> list[TensorDict]:
-    return [make_batch(MAIN_ROWS + DEMO_ROWS, DEMO_ROWS) for _ in range(count)]
 
 
 @needs_compiler

@@ -13,13 +13,10 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from losses import BCSACLoss, LinearWeight
-from pipeline.critics import BatchedCritics
 from pipeline.cuda_graphs import CudaGraphs
 from pipeline.imitation import ImitationStepper
-from pipeline.networks import make_actor
-from pipeline.stepper import BCSACStepper, StepRhythm
-from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
+from tests.pipeline.toys import make_batch
+from tests.pipeline.updating import UPDATES, learnt, make_loss, make_stepper, marked_and_unmarked
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:This module is instantiated on a machine without"),
@@ -28,53 +25,14 @@ pytestmark = [
 ]
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
-UPDATES = 30
-MAIN_ROWS, DEMO_ROWS = 8, 4
 
 
 def close(found: object, expected: object) -> None:
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-7, equal_nan=True)
 
 
-def make_loss(**options) -> BCSACLoss:
-    """Networks with everything that the pipeline's can have."""
-    hidden = {"hidden_dtype": options.pop("hidden_dtype", None)}
-    actor = make_actor(OBSERVATION_SIZE, ACTION_SIZE, [16, 16], **hidden)
-    critic = BatchedCritics(OBSERVATION_SIZE, ACTION_SIZE, [16, 16], 3, layer_norm=True, **hidden)
-    return BCSACLoss(
-        actor.to(DEVICE),
-        critic.to(DEVICE),
-        target_entropy=-float(ACTION_SIZE),
-        main_rows=MAIN_ROWS,
-        # Another weight at each update: a recording must not keep that of its own.
-        bc_weight=LinearWeight(init=1.0, final=0.2, duration=UPDATES),
-        **options,
-    )
-
-
-def make_stepper(loss: BCSACLoss, *, cuda_graphs: bool, **options) -> BCSACStepper:
-    return BCSACStepper(
-        loss,
-        actor_lr=1e-3,
-        critic_lr=2e-3,
-        temperature_lr=3e-3,
-        rhythm=StepRhythm(target_period=2, diagnostics_period=3, actor_delay=2),
-        anneal_updates=UPDATES,
-        cuda_graphs=cuda_graphs,
-        **options,
-    )
-
-
 def batches(count: int) -> list[TensorDict]:
-    """Marked batches, and every fifth one without marks and of another size (DA-SAC)."""
-    sizes = [(5, None) if i % 5 == 4 else (MAIN_ROWS + DEMO_ROWS, DEMO_ROWS) for i in range(count)]
-    return [make_batch(rows, demos).to(DEVICE) for rows, demos in sizes]
-
-
-def learnt(loss: BCSACLoss, stepper, given: list[TensorDict]) -> tuple[dict, list[dict]]:
-    torch.manual_seed(3)
-    found = [stepper.step(None, batch.clone()).to_dict() for batch in given]
-    return {name: value.clone() for name, value in loss.named_parameters()}, found
+    return [batch.to(DEVICE) for batch in marked_and_unmarked(count)]
 
 
 @pytest.mark.parametrize(
@@ -87,29 +45,29 @@ def learnt(loss: BCSACLoss, stepper, given: list[TensorDict]) -> tuple[dict, lis
 )
 @pytest.mark.parametrize("training", [{}, {"bc_gradient_ratio": 0.5, "max_grad_norm": 1.0}])
 def test_replayed_updates_are_the_ordinary_ones(options: dict, training: dict):
-    plain = make_loss(**options)
+    plain = make_loss(DEVICE, **options)
     graphs = deepcopy(plain)
     given = batches(UPDATES)
-    expected = learnt(plain, make_stepper(plain, cuda_graphs=False, **training), given)
+    expected = learnt(plain, make_stepper(plain, **training), given)
     found = learnt(graphs, make_stepper(graphs, cuda_graphs=True, **training), given)
     close(found, expected)
-    start = make_loss(**options).log_alpha
+    start = make_loss(DEVICE, **options).log_alpha
     assert (found[0]["log_alpha"] - start).abs() > 1e-3
 
 
 def test_replayed_updates_are_the_ordinary_ones_in_bfloat16():
     torch.set_default_dtype(torch.float32)
-    plain = make_loss(hidden_dtype=torch.bfloat16)
+    plain = make_loss(DEVICE, hidden_dtype=torch.bfloat16)
     graphs = deepcopy(plain)
     given = batches(10)
-    expected, _ = learnt(plain, make_stepper(plain, cuda_graphs=False), given)
-    found, _ = learnt(graphs, make_stepper(graphs, cuda_graphs=True), given)
+    expected, *_ = learnt(plain, make_stepper(plain), given)
+    found, *_ = learnt(graphs, make_stepper(graphs, cuda_graphs=True), given)
     # Ten steps of 0.001 to 0.003: a step in the wrong direction is farther away than this.
     torch.testing.assert_close(found, expected, rtol=0, atol=5e-4)
 
 
 def test_replayed_imitation_is_the_ordinary_one():
-    plain = make_loss()
+    plain = make_loss(DEVICE)
     graphs = deepcopy(plain)
     given = [make_batch(6, 6).to(DEVICE) for _ in range(UPDATES)]
     options = {"actor_lr": 1e-3, "anneal_updates": UPDATES}
@@ -120,10 +78,10 @@ def test_replayed_imitation_is_the_ordinary_one():
 
 @pytest.mark.parametrize(("before", "after"), [(True, True), (True, False), (False, True)])
 def test_a_run_goes_on_with_or_without_recordings(before: bool, after: bool):
-    whole = make_loss()
+    whole = make_loss(DEVICE)
     halved = deepcopy(whole)
     given = batches(UPDATES)
-    expected, _ = learnt(whole, make_stepper(whole, cuda_graphs=False), given)
+    expected, *_ = learnt(whole, make_stepper(whole), given)
     torch.manual_seed(3)
     first = make_stepper(halved, cuda_graphs=before)
     for batch in given[:11]:
