@@ -135,6 +135,7 @@ class OptimConfig:
     actor_delay: int = 0  # critic updates before the first actor update (critic warm-up)
     max_grad_norm: float | None = None
     actor_average: float | None = None  # evaluate an average of the weights; kept per update
+    actor_average_share: float | None = None  # instead: the share of the run's updates it spans
     anneal_actor: bool = False  # cosine from actor_lr to 0 over the run
     diagnostics_period: int = 100  # actor updates between gradient diagnostics
 

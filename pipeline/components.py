@@ -191,6 +191,30 @@ def actor_updates(config: Config) -> int:
     return max(critic_updates - config.optim.actor_delay, 0) // config.optim.actor_period
 
 
+def average_decay(config: Config) -> float | None:
+    """What one update keeps of the average of the actor's weights; None for no average.
+
+    An average as long as a fixed share of the run serves short runs and long ones alike: it reaches
+    as far back as the policy has changed little.
+
+    Raises:
+        ValueError: If it is given in two ways, or its share is out of range.
+    """
+    decay, share = config.optim.actor_average, config.optim.actor_average_share
+    if share is None:
+        return decay
+    if decay is not None:
+        raise ValueError(
+            f"optim.actor_average ({decay}) and optim.actor_average_share ({share}) both say how "
+            "long the average is: set one of them to null."
+        )
+    if not 0.0 < share < 1.0:
+        raise ValueError(f"optim.actor_average_share must be in (0, 1) or null, got {share}.")
+    updates = config.optim.updates_per_frame * config.collector.total_frames
+    window = round(share * updates)
+    return 1.0 - 1.0 / window if window > 1 else None
+
+
 def make_loss(
     loss: LossConfig,
     actor: ProbabilisticActor,

@@ -89,8 +89,9 @@ def build_online(
         compile_updates=bool(config.compile_updates),
     )
     average = None
-    if config.optim.actor_average is not None:
-        average = ActorAverageHook(actor, config.optim.actor_average)
+    decay = components.average_decay(config)
+    if decay is not None:
+        average = ActorAverageHook(actor, decay)
     policy = actor if average is None else average.average
     greedy = config.collector.greedy_envs
     collector = Collector(

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 import torch
 
+from configs import compose_config
 from pipeline.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
+from pipeline.components import average_decay
 from pipeline.evaluation import Rollouts
 from pipeline.hooks import (
     ActorAverageHook,
@@ -290,3 +292,34 @@ def test_the_actor_s_average_moves_by_hand():
 def test_a_decay_out_of_range_names_its_key(decay: float):
     with pytest.raises(ValueError, match=r"optim\.actor_average must be in \(0, 1\)"):
         ActorAverageHook(torch.nn.Linear(1, 1), decay)
+
+
+AVERAGED = ("optim.actor_average=null", "optim.updates_per_frame=0.3")
+
+
+@pytest.mark.parametrize(
+    ("frames", "decay"),
+    [
+        (100_000, 0.9995),  # 2,000 of 30,000 updates
+        (10_000, 0.995),  # 200 of 3,000
+        (40, None),  # less than one of 12: the actor itself
+    ],
+)
+def test_the_average_spans_a_share_of_the_run(frames: int, decay: float | None):
+    config = compose_config(
+        *AVERAGED, f"collector.total_frames={frames}", "optim.actor_average_share=0.066667"
+    )
+    assert average_decay(config) == decay
+
+
+def test_the_average_has_one_length():
+    config = compose_config("optim.actor_average=0.9", "optim.actor_average_share=0.1")
+    with pytest.raises(ValueError, match=r"actor_average \(0\.9\).*actor_average_share \(0\.1\)"):
+        average_decay(config)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, -0.1])
+def test_a_share_out_of_range_names_its_key(share: float):
+    config = compose_config(*AVERAGED, f"optim.actor_average_share={share}")
+    with pytest.raises(ValueError, match=r"optim\.actor_average_share must be in \(0, 1\)"):
+        average_decay(config)
