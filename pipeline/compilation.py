@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import functools
 import warnings
+from collections.abc import Sequence
 
 import torch
 import torch._inductor
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -39,19 +40,26 @@ class Compiled:
 
     def __call__(self, batch: TensorDictBase) -> tuple[dict[str, Tensor], Gradients]:
         """What the function returns for ``batch``."""
-        layout = (batch.batch_size, frozenset(batch.keys(include_nested=True, leaves_only=True)))
+        # One walk for both, because looking an entry up takes longer than some of the arithmetic.
+        keys, values = zip(*batch.items(include_nested=True, leaves_only=True), strict=True)
+        layout = (batch.batch_size, keys)
         if layout not in self._compilations:
-            self._compilations[layout] = _Compilation(self._function, batch)
-        return self._compilations[layout](batch)
+            self._compilations[layout] = _Compilation(self._function, *layout, values)
+        return self._compilations[layout](values)
 
 
 class _Compilation:
-    def __init__(self, function: Teaching, batch: TensorDictBase) -> None:
+    def __init__(
+        self,
+        function: Teaching,
+        batch_size: torch.Size,
+        keys: Sequence[NestedKey],
+        values: Sequence[Tensor],
+    ) -> None:
         self.function = function
-        self.batch_size = batch.batch_size
-        self.keys = list(batch.keys(include_nested=True, leaves_only=True))
+        self.batch_size = batch_size
+        self.keys = keys
         self.names: tuple[str, ...] = ()
-        values = self.values_of(batch)
         with warnings.catch_warnings():
             # Of what torch itself still uses.
             warnings.simplefilter("ignore", DeprecationWarning)
@@ -61,9 +69,9 @@ class _Compilation:
             with torch.no_grad():
                 self.compiled = torch._inductor.compile(graph, [*values], options=OPTIONS)
 
-    def __call__(self, batch: TensorDictBase) -> tuple[dict[str, Tensor], Gradients]:
+    def __call__(self, values: Sequence[Tensor]) -> tuple[dict[str, Tensor], Gradients]:
         with torch.no_grad():
-            results = self.compiled(*self.values_of(batch))
+            results = self.compiled(*values)
         count = len(self.names)
         return dict(zip(self.names, results[:count], strict=True)), results[count:]
 
@@ -72,9 +80,6 @@ class _Compilation:
         found, gradients = self.function(batch)
         self.names = tuple(found)
         return [*found.values(), *gradients]
-
-    def values_of(self, batch: TensorDictBase) -> list[Tensor]:
-        return [batch[key] for key in self.keys]
 
 
 def compiled(function: Teaching, enabled: bool) -> Teaching:
