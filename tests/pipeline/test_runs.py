@@ -72,6 +72,15 @@ def test_training_doors_get_their_options(tmp_path: Path, demos: Path):
     env.close()
 
 
+def test_the_average_over_a_share_of_the_run_is_the_policy(tmp_path: Path, demos: Path):
+    """It lags behind the actor, which goes on alone."""
+    averaged = ("optim.actor_average=null", "optim.actor_average_share=0.5")
+    run = build_run(tiny_config("bc_sac", tmp_path, demos, *averaged))
+    assert run.actor is not run.trainer.loss_module.actor
+    run.train()
+    assert not same(parameters_of(run.actor), parameters_of(run.trainer.loss_module.actor))
+
+
 def test_the_trainer_keeps_no_history_of_what_it_logged(tmp_path: Path, demos: Path):
     """A tensor kept per update is a leak: gigabytes in a run of the paper's size."""
     run = build_run(tiny_config("bc_sac", tmp_path, demos))
