@@ -12,7 +12,7 @@ from losses import BCSACLoss
 from pipeline.compilation import compiled
 from pipeline.cuda_graphs import recorded
 from pipeline.gradients import ImitationGradients, hand_over
-from pipeline.optimizers import make_adam, make_annealing, set_capturable
+from pipeline.optimizers import AdamStep, make_adam, make_annealing, set_capturable
 
 
 class ImitationStepper(OptimizationStepper):
@@ -44,6 +44,7 @@ class ImitationStepper(OptimizationStepper):
         self.annealing = make_annealing(self.optimizer, anneal_updates)
         self._cuda_graphs = cuda_graphs
         set_capturable(self.optimizer, cuda_graphs)
+        self._adam = AdamStep(self.optimizer)
         self._update = recorded(self._learn, cuda_graphs)
 
     def step(self, _trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
@@ -55,7 +56,7 @@ class ImitationStepper(OptimizationStepper):
     def _learn(self, batch: TensorDictBase) -> dict[str, Tensor]:
         found, gradients = self._teach(batch)
         hand_over(self.gradients.actor_parameters, gradients)
-        self.optimizer.step()
+        self._adam()
         return found
 
     def state_dict(self) -> dict[str, Any]:

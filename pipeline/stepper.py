@@ -16,7 +16,7 @@ from losses import BCSACLoss
 from pipeline.compilation import compiled
 from pipeline.cuda_graphs import Update, recorded
 from pipeline.gradients import BCSACGradients, hand_over
-from pipeline.optimizers import make_adam, make_annealing, set_capturable
+from pipeline.optimizers import AdamStep, make_adam, make_annealing, set_capturable
 
 METRICS = (
     "loss_qvalue",
@@ -114,6 +114,7 @@ class BCSACStepper(OptimizationStepper):
                 [(loss.actor.parameters(), actor_lr), ([loss.log_alpha], temperature_lr)]
             ),
         }
+        self._adam = {name: AdamStep(optimizer) for name, optimizer in self.optimizers.items()}
         self.annealing = make_annealing(self.optimizers["actor"], anneal_updates)
         self.critic_updates = 0
         self.last: dict[str, Tensor] = {}
@@ -170,7 +171,7 @@ class BCSACStepper(OptimizationStepper):
         found, gradients = self._teach_critic(batch)
         hand_over(self.gradients.critic_parameters, gradients)
         self._clip(self.gradients.critic_parameters)
-        self.optimizers["critic"].step()
+        self._adam["critic"]()
         return found
 
     def _learn_actor(self, batch: TensorDictBase, *, by_terms: bool) -> dict[str, Tensor]:
@@ -178,7 +179,7 @@ class BCSACStepper(OptimizationStepper):
         of = self.gradients
         hand_over([*of.actor_parameters, *of.temperature], gradients)
         self._clip(of.actor_parameters)
-        self.optimizers["actor"].step()
+        self._adam["actor"]()
         return found | {"alpha": self.loss.alpha}
 
     def _clip(self, parameters: Iterable[nn.Parameter]) -> None:
