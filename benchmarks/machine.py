@@ -16,14 +16,23 @@ PACKAGES = (
 )
 
 
-def describe() -> dict[str, Any]:
-    """Processor, cores, instruction sets and versions."""
-    lines = Path("/proc/cpuinfo").read_text().splitlines()
+CPU_MODEL = ("cpu family", "model", "stepping")
+"""What tells processors of one name apart: a virtual machine may call two generations the same."""
+
+
+def describe(cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, Any]:
+    """Processor, cores, instruction sets and versions.
+
+    Args:
+        cpuinfo: Where Linux lists the processors.
+    """
+    lines = cpuinfo.read_text().splitlines()
     facts = dict(part.split(":", 1) for part in lines if ":" in part)
     cpu = {name.strip(): value.strip() for name, value in facts.items()}
     flags = set(cpu.get("flags", "").split())
     return {
         "cpu": cpu.get("model name", platform.processor() or platform.machine()),
+        "cpu_model": ", ".join(f"{name} {cpu.get(name, '?')}" for name in CPU_MODEL),
         "cores": available_cores(),
         "flags": {flag: flag in flags for flag in FLAGS},
         "python": platform.python_version(),

@@ -60,8 +60,10 @@ def _machine(results: Results) -> str:
     machine = results["machine"]
     flags = [name for name, present in machine["flags"].items() if present]
     versions = ", ".join(f"{name} {v}" for name, v in machine["versions"].items() if v)
+    model = f" ({machine['cpu_model']})" if "cpu_model" in machine else ""
     return (
-        f"{machine['cpu']}, {machine['cores']} cores, {', '.join(flags) or 'no wide vectors'}; "
+        f"{machine['cpu']}{model}, {machine['cores']} cores, "
+        f"{', '.join(flags) or 'no wide vectors'}; "
         f"Python {machine['python']}; {versions}."
     )
 

@@ -86,6 +86,18 @@ def test_the_report_is_rendered_from_what_is_there():
     assert "Growth" not in text
 
 
+def test_two_generations_of_one_name_are_two_machines(tmp_path: Path):
+    described = []
+    for model in (17, 2):
+        path = tmp_path / "cpuinfo"
+        path.write_text(f"cpu family\t: 25\nmodel\t\t: {model}\nmodel name\t: Abacus\n")
+        described.append(machine.describe(path))
+    one, other = described
+    assert one["cpu"] == other["cpu"] == "Abacus"
+    with pytest.raises(results.ResultsError, match="cpu_model"):
+        results.merge({"machine": one}, {}, other)
+
+
 def test_the_machine_is_described_without_its_name():
     text = json.dumps(machine.describe())
     assert "/" not in text.replace(json.dumps(machine.describe()["cpu"]), "")
