@@ -21,6 +21,7 @@ from envs.door.starts import door_position
 from envs.door.task import LATCH, PALM_TO_HANDLE
 from pipeline.exploration import require_noise_scale, with_noise
 from pipeline.random_state import kept_random_state
+from pipeline.threads import one_torch_thread
 
 Exploration = Literal["mean", "sample"]
 EXPLORATION: dict[str, ExplorationType] = {
@@ -178,21 +179,6 @@ class Evaluator:
                 yield policy if self.noise_scale == 1.0 else with_noise(policy, self.noise_scale)
         finally:
             policy.train(was_training)
-
-
-@contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """Keep torch to the calling thread.
-
-    Others would spin after each product, on the cores that physics waits for: an evaluation took
-    7 % longer on two idle cores, and twice as long beside other work.
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def door_starts(env: EnvBase, seed: int, first: int) -> TensorDict | None:

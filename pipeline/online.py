@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from torch import nn
-from torchrl.collectors import Collector
 
 from configs.schema import Config
 from pipeline import components
@@ -27,6 +26,7 @@ from pipeline.hooks import (
 )
 from pipeline.mixture import DRAWS, Mixture
 from pipeline.stepper import BCSACStepper, StepRhythm
+from pipeline.threads import OneThreadCollector
 from pipeline.time_use import TimeUse
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer
 
@@ -94,7 +94,7 @@ def build_online(
         average = ActorAverageHook(actor, decay)
     policy = actor if average is None else average.average
     greedy = config.collector.greedy_envs
-    collector = Collector(
+    collector = OneThreadCollector(
         env,
         PartlyGreedyPolicy(actor, greedy, config.env.num_envs) if greedy else actor,
         frames_per_batch=config.collector.frames_per_batch,

@@ -10,6 +10,7 @@ from envs import make_env
 from pipeline.episodes import EpisodeAssembler, FinishedEpisode
 from pipeline.evaluation import door_starts
 from pipeline.harvest import Harvest
+from pipeline.threads import one_torch_thread
 
 MAX_BATCH = 250  # episodes at a time
 UNTIL_DONE = 10**6  # steps: more than any task's time limit
@@ -32,7 +33,11 @@ def rollout_episodes(
     """
     batch = min(episodes, MAX_BATCH)
     finished: list[FinishedEpisode] = []
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+    with (
+        torch.no_grad(),
+        one_torch_thread(),
+        set_exploration_type(ExplorationType.DETERMINISTIC),
+    ):
         while len(finished) < episodes:
             env = make_env(
                 env_name,

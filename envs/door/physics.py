@@ -55,15 +55,18 @@ class DoorStates:
         self.palm = np.zeros((num_doors, 3))
         self.handle = np.zeros((num_doors, 3))
         self.diverged = np.zeros(num_doors, dtype=bool)
-        self.qpos = self.physics[:, _columns(model, mujoco.mjtState.mjSTATE_QPOS)]
-        self.qvel = self.physics[:, _columns(model, mujoco.mjtState.mjSTATE_QVEL)]
+        qpos = _columns(model, mujoco.mjtState.mjSTATE_QPOS)
+        qvel = _columns(model, mujoco.mjtState.mjSTATE_QVEL)
+        self.qpos, self.qvel = self.physics[:, qpos], self.physics[:, qvel]
+        self._motion = self.physics[:, qpos.start : qvel.stop]  # both, which are neighbours
         self.control = self.physics[:, _columns(model, mujoco.mjtState.mjSTATE_CTRL)]
 
     def flag_bad_numbers(self, doors: NDArray[np.int64]) -> None:
         """Mark those of `doors` whose positions or velocities MuJoCo would warn of next."""
         # Written so that NaN, which compares False, is bad too.
-        for numbers in (self.qpos[doors], self.qvel[doors]):
-            self.diverged[doors] |= ~(np.abs(numbers) <= mujoco.mjMAXVAL).all(axis=1)
+        good = np.abs(self._motion[doors]) <= mujoco.mjMAXVAL
+        if not good.all():
+            self.diverged[doors] |= ~good.all(axis=1)
 
 
 class DoorPhysics:
