@@ -96,6 +96,7 @@ def test_two_generations_of_one_name_are_two_machines(tmp_path: Path):
     assert one["cpu"] == other["cpu"] == "Abacus"
     with pytest.raises(results.ResultsError, match="cpu_model"):
         results.merge({"machine": one}, {}, other)
+    assert "Abacus (cpu family 25, model 17" in report.render({"machine": one})
 
 
 def test_the_machine_is_described_without_its_name():
