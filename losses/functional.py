@@ -232,7 +232,8 @@ def draw_members(
         raise ValueError(f"the subset minimum needs 1 to {ensemble} critics, not {size}")
     if size is None or size == ensemble:
         return None
-    return torch.randperm(ensemble, generator=generator, device=device)[:size]
+    # Not randperm with its generator, which TorchInductor cannot call from C++.
+    return torch.rand(ensemble, generator=generator, device=device).topk(size).indices
 
 
 def ensemble_mean(q: Tensor) -> Tensor:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import functools
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any
 
 import torch
 import torch._inductor
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
+from torch._inductor.exc import InductorError
+from torch._ops import OpOverload
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from pipeline.gradients import Gradients, Teaching
@@ -18,6 +22,26 @@ from pipeline.random_state import kept_random_state
 OPTIONS = {
     # Random numbers are drawn as they would be, so that a compiled run is the ordinary one.
     "fallback_random": True,
+}
+FROM_CPP = {"cpp_wrapper": True}
+"""A twentieth less of a small update than calling the loops from Python (docs/performance.md)."""
+
+
+def _bias_apart(bias: Tensor, left: Tensor, right: Tensor, **scales: float) -> Tensor:
+    """The product of two matrices, and then the bias: torch adds it before it multiplies.
+
+    For that it writes the bias to every row of the result, with a loop of its own, a third as long
+    as the product where layers are small. Apart, it joins the loop that comes after the product.
+    """
+    if scales:
+        return NotImplemented
+    # Inductor joins the two again where it finds one directly after the other.
+    return ((left @ right).unsqueeze(0) + bias).squeeze(0)
+
+
+DECOMPOSITIONS: dict[OpOverload, Callable[..., Tensor]] = {
+    torch.ops.aten.addmm.default: _bias_apart,
+    torch.ops.aten.baddbmm.default: _bias_apart,
 }
 
 
@@ -65,9 +89,9 @@ class _Compilation:
             warnings.simplefilter("ignore", DeprecationWarning)
             # The tracer calls the function, whose draws must not count.
             with kept_random_state(values[0].device):
-                graph = make_fx(self.on_tensors)(*values)
+                graph = make_fx(self.on_tensors, decomposition_table=DECOMPOSITIONS)(*values)
             with torch.no_grad():
-                self.compiled = torch._inductor.compile(graph, [*values], options=OPTIONS)
+                self.compiled = _compiled(graph, values)
 
     def __call__(self, values: Sequence[Tensor]) -> tuple[dict[str, Tensor], Gradients]:
         with torch.no_grad():
@@ -80,6 +104,17 @@ class _Compilation:
         found, gradients = self.function(batch)
         self.names = tuple(found)
         return [*found.values(), *gradients]
+
+
+def _compiled(graph: torch.fx.GraphModule, values: Sequence[Tensor]) -> Callable[..., Any]:
+    """``graph`` as loops, called from C++ where it holds nothing that this cannot call."""
+    for node in graph.graph.nodes:
+        # The tracer's accounts of the values do not go together; Inductor makes its own.
+        node.meta.pop("val", None)
+    if values[0].device.type == "cpu":
+        with suppress(InductorError):
+            return torch._inductor.compile(graph, [*values], options=OPTIONS | FROM_CPP)
+    return torch._inductor.compile(graph, [*values], options=OPTIONS)
 
 
 def compiled(function: Teaching, enabled: bool) -> Teaching:

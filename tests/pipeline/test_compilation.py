@@ -122,6 +122,34 @@ def test_each_layout_of_batch_is_compiled_once(monkeypatch: pytest.MonkeyPatch):
     assert traced == [torch.Size([3]), torch.Size([5])]
 
 
+@needs_compiler
+def test_what_cannot_be_called_from_cpp_is_called_from_python():
+    """So is a permutation with a generator, in torch 2.13."""
+
+    def ranked(batch: TensorDictBase) -> tuple[dict[str, Tensor], Gradients]:
+        return {}, [batch["x"] * torch.randperm(5, generator=None)]
+
+    batch = TensorDict({"x": torch.randn(5)}, [5])
+    torch.manual_seed(3)
+    _, (found,) = Compiled(ranked)(batch)
+    torch.manual_seed(3)
+    assert torch.equal(found, ranked(batch)[1][0])
+
+
+@needs_compiler
+@pytest.mark.parametrize("scales", [{}, {"beta": 0.5, "alpha": 3.0}], ids=["plain", "scaled"])
+def test_a_bias_apart_from_its_product_is_added_once(scales: dict[str, float]):
+    bias, left, right = torch.randn(4), torch.randn(6, 3), torch.randn(3, 4)
+
+    def both(batch: TensorDictBase) -> tuple[dict[str, Tensor], Gradients]:
+        rows = batch["x"]
+        members = torch.baddbmm(bias, rows.expand(2, -1, -1), right.expand(2, -1, -1), **scales)
+        return {}, [torch.addmm(bias, rows, right, **scales), members]
+
+    batch = TensorDict({"x": left}, [6])
+    torch.testing.assert_close(Compiled(both)(batch)[1], both(batch)[1])
+
+
 def test_what_is_not_enabled_is_not_compiled():
     assert compiled(len, enabled=False) is len
 
