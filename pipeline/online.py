@@ -25,7 +25,7 @@ from pipeline.hooks import (
     StoreHook,
 )
 from pipeline.mixture import DRAWS, Mixture
-from pipeline.stepper import BCSACStepper, StepRhythm
+from pipeline.stepper import BCSACStepper, StepRhythm, log_metrics
 from pipeline.threads import OneThreadCollector
 from pipeline.time_use import TimeUse
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer
@@ -133,6 +133,7 @@ def build_online(
     time_use.watch(store, "store", "store")
     store.register(trainer)
     trainer.register_op("process_optim_batch", time_use.timed(mixture, "sample"))
+    trainer.register_op("post_optim_complete_log", log_metrics)
     if config.sampler.demo_update_period:
         demo_batches = Mixture(None, distribution, main_rows=0, demo_rows=rows, device=device)
         DemoUpdateHook(stepper, demo_batches, config.sampler.demo_update_period).register(trainer)

@@ -11,7 +11,7 @@ from torch import nn
 
 from losses import BCSACLoss, ExponentialWeight
 from pipeline.imitation import ImitationStepper
-from pipeline.stepper import METRICS, BCSACStepper, StepRhythm
+from pipeline.stepper import METRICS, BCSACStepper, StepRhythm, named
 from tests.pipeline.toys import make_batch, make_loss, parameters_of, same
 
 
@@ -147,7 +147,7 @@ def gradients_of_a_step(
     g_rl = torch.autograd.grad(terms.rl, actor, retain_graph=True)
     g_bc = torch.autograd.grad(terms.bc, actor)
     given = flat(parameter.grad for parameter in loss.actor.parameters())
-    return given, flat(g_rl), flat(g_bc), metrics.to_dict()
+    return given, flat(g_rl), flat(g_bc), named(metrics)
 
 
 def test_fixed_weights_add_the_gradients():
@@ -198,11 +198,12 @@ def test_results_are_detached_and_have_the_same_keys_at_every_step():
     """TorchRL averages them over a batch's steps by the keys of the first."""
     stepper = make_stepper(make_loss(), rhythm=StepRhythm(actor_period=3))
     for _ in range(4):
-        metrics = stepper.step(None, make_batch(6, 2))
-        assert set(metrics.keys()) == set(METRICS)
-        assert not any(value.requires_grad for value in metrics.values())
-        assert all(value.shape == () for value in metrics.values())
-    assert all(value.isfinite() for value in metrics.values())
+        result = stepper.step(None, make_batch(6, 2))
+        assert [(key, value.shape) for key, value in result.items()] == [("metrics", (12,))]
+        assert not result["metrics"].requires_grad
+    assert result["metrics"].isfinite().all()
+    assert named(result) == stepper.last
+    assert set(stepper.last) == set(METRICS)
 
 
 def test_steps_leave_no_tensors_behind():
