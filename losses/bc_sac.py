@@ -104,6 +104,8 @@ class BCSACLoss(LossModule):
     default_keys = _AcceptedKeys
     tensor_keys: _AcceptedKeys
     log_alpha: nn.Parameter
+    _averaged: tuple[list[nn.Parameter], list[nn.Parameter]]
+    _has_buffers: bool
 
     out_keys = [  # noqa: RUF012 - TensorDictModuleBase's own contract
         "loss_qvalue",
@@ -192,6 +194,9 @@ class BCSACLoss(LossModule):
         # The averaging function of AveragedModel without its shell, which copies instead of
         # averaging at the first update and reads a counter back from the device at each.
         self._average = get_ema_multi_avg_fn(1.0 - tau)
+        _list_averaged(self)
+        # Loading with assign=True puts other parameters in their place.
+        self.register_load_state_dict_post_hook(_list_averaged)
 
     # ---------------------------------------------------------------- terms, each callable alone
 
@@ -311,9 +316,11 @@ class BCSACLoss(LossModule):
 
         Buffers are statistics (of a normalisation, say), which an average of two would falsify.
         """
-        self._average(list(self.target_critic.parameters()), list(self.critic.parameters()), None)
-        for mine, theirs in zip(self.target_critic.buffers(), self.critic.buffers(), strict=True):
-            mine.copy_(theirs)
+        self._average(*self._averaged, None)
+        if self._has_buffers:  # looked for anew, because moving a module replaces its buffers
+            target, critic = self.target_critic.buffers(), self.critic.buffers()
+            for mine, theirs in zip(target, critic, strict=True):
+                mine.copy_(theirs)
 
     def get_extra_state(self) -> Tensor:
         """Return the number of updates, for ``state_dict``."""
@@ -460,6 +467,13 @@ class BCSACLoss(LossModule):
         """Return the transitions ``[R]`` that the reinforcement terms use."""
         rows = self._reinforcement_rows(tensordict)
         return tensordict if rows is None else tensordict[rows]
+
+
+def _list_averaged(loss: BCSACLoss, _incompatible_keys: object = None) -> None:
+    """List what ``update_target`` averages: looking for it takes longer than averaging it."""
+    target, critic = loss.target_critic, loss.critic
+    loss._averaged = list(target.parameters()), list(critic.parameters())
+    loss._has_buffers = next(critic.buffers(), None) is not None
 
 
 def _negative_action_size(actor: ProbabilisticActor) -> float:

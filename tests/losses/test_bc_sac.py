@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import math
 from collections import Counter
+from collections.abc import Callable
+from copy import deepcopy
 from typing import ClassVar
 
 import pytest
@@ -524,6 +526,28 @@ def test_the_target_averages_from_the_first_update_on_and_copies_statistics() ->
     assert torch.equal(loss.target_critic.values, torch.tensor([3.5, 7.5]))
     assert torch.equal(critic.values, torch.tensor([8.0, 12.0]))
     assert loss.target_critic.seen.item() == 1.0
+
+
+def assigned(loss: BCSACLoss) -> BCSACLoss:
+    loss.load_state_dict({k: v.clone() for k, v in loss.state_dict().items()}, assign=True)
+    return loss
+
+
+@pytest.mark.parametrize("moved", [deepcopy, BCSACLoss.double, assigned])
+def test_the_target_follows_networks_that_were_copied_moved_or_loaded(
+    moved: Callable[[BCSACLoss], BCSACLoss],
+) -> None:
+    critic = ConstantCritics(0.0, 4.0)
+    critic.register_buffer("seen", torch.tensor(0.0))
+    original = BCSACLoss(make_actor(), critic, tau=0.25)
+    loss = moved(original)
+    with torch.no_grad():
+        loss.critic.values += 8.0
+        loss.critic.seen += 1.0
+    loss.update_target()
+    assert loss.target_critic.values.tolist() == [2.0, 6.0]
+    assert loss.target_critic.seen.item() == 1.0
+    assert loss is original or original.target_critic.values.tolist() == [0.0, 4.0]
 
 
 def test_the_policy_that_learns_is_the_one_that_was_passed_in() -> None:
