@@ -18,8 +18,9 @@ from torchrl.objectives import LossModule
 from torchrl.objectives.utils import hold_out_net
 
 from losses import functional as F
+from losses.distributions import SquashedNormal
 from losses.ensemble import CriticEnsemble
-from losses.policy import policy_distribution
+from losses.policy import Rows, draw, policy_distribution
 from losses.schedules import ConstantWeight, Schedule
 from losses.terms import ActorTerms, CriticTerms
 
@@ -253,12 +254,14 @@ class BCSACLoss(LossModule):
         """
         observation = tensordict[self.tensor_keys.observation]
         policy = self._policy(observation)
-        action, log_prob = policy.rsample_and_log_prob()
         rows = self._reinforcement_rows(tensordict)
-        if rows is not None:
-            # Sampling every row is cheap; the critics are not, so they see only rows that count.
-            observation, action, log_prob = observation[rows], action[rows], log_prob[rows]
-        rl, q = self._reinforcement(observation, action, log_prob)
+        chosen = slice(None) if rows is None else rows
+        action, log_prob = draw(policy, chosen)
+        rl, q = self._reinforcement(observation[chosen], action, log_prob)
+        if isinstance(rows, slice) and isinstance(policy, SquashedNormal):
+            # After them are demonstrations alone, before them none.
+            others = slice(rows.stop, None)
+            policy, tensordict = policy[others], tensordict[others]
         bc = self._imitation(policy, tensordict, self._imitation_weights(policy, tensordict))
         return ActorTerms(rl, bc, log_prob.detach(), q)
 
@@ -436,13 +439,13 @@ class BCSACLoss(LossModule):
         mask = tensordict.get(self.tensor_keys.is_demo, None)
         return None if mask is None else mask.squeeze(-1)
 
-    def _reinforcement_rows(self, tensordict: TensorDictBase) -> Tensor | slice | None:
+    def _reinforcement_rows(self, tensordict: TensorDictBase) -> Rows | None:
         """Return the indices ``[R]`` of the rows for reinforcement, ``None`` for all of them.
 
-        Where the demonstrations come last, as in the pipeline's batches, it is a slice: a view in
-        place of a copy of every entry. Counting makes an accelerator's host wait, once: the price
-        of not running the critics on rows that do not count. With ``rl_on_demos`` or ``main_rows``
-        there is nothing to count.
+        Where the demonstrations come last, as in the pipeline's batches, it is a slice, after
+        which all are demonstrations: a view in place of a copy of every entry. Counting makes an
+        accelerator's host wait, once: the price of not running the critics on rows that do not
+        count. With ``rl_on_demos`` or ``main_rows`` there is nothing to count.
 
         Raises:
             ValueError: if there are no such rows.

@@ -51,6 +51,10 @@ class SquashedNormal(Distribution):
         """The action ``[..., A]`` of the mean before the tanh: tanh's median, not its mean."""
         return self.loc.tanh()
 
+    def __getitem__(self, rows: Tensor | slice) -> SquashedNormal:
+        """The distribution of some rows: what indexes the first dimension."""
+        return type(self)(self.loc[rows], self.scale[rows])
+
     def rsample_and_log_prob(self, sample_shape: Shape = NO_SHAPE) -> tuple[Tensor, Tensor]:
         """Draw actions ``[*sample_shape, ..., A]`` and their log-densities, with gradients.
 

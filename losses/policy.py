@@ -6,7 +6,12 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torch.distributions import Distribution
-from torchrl.modules import ProbabilisticActor
+from torchrl.modules import ProbabilisticActor, TanhNormal
+
+from losses.distributions import SquashedNormal
+
+Rows = Tensor | slice
+"""Some rows of a batch: indices ``[R]`` or a slice."""
 
 
 def policy_distribution(actor: ProbabilisticActor, observation: Tensor) -> Distribution:
@@ -30,6 +35,18 @@ def policy_distribution(actor: ProbabilisticActor, observation: Tensor) -> Distr
             return head.distribution_class(**parameters, **(head.distribution_kwargs or {}))
     (key,) = actor.in_keys
     return actor.get_dist(TensorDict({key: observation}, [len(observation)]))
+
+
+def draw(policy: TanhNormal, rows: Rows) -> tuple[Tensor, Tensor]:
+    """Draw actions ``[R, A]`` and their log-densities ``[R]`` at some rows of ``policy``.
+
+    Of a distribution that cannot be taken apart, every row is drawn: cheap beside the critics,
+    which see only the rows that count.
+    """
+    if isinstance(policy, SquashedNormal):
+        return policy[rows].rsample_and_log_prob()
+    action, log_prob = policy.rsample_and_log_prob()
+    return action[rows], log_prob[rows]
 
 
 def _is_function_of_one_tensor(network: TensorDictModule) -> bool:

@@ -132,6 +132,22 @@ def test_leaving_rows_out_keeps_states_actions_and_densities_together() -> None:
     torch.testing.assert_close(alone.log_prob, among_all.log_prob[others])
 
 
+def test_demonstrations_draw_no_actions() -> None:
+    """They are scored, so the draws of the other rows are those of a batch without them."""
+    loss = make_loss()
+    loss.actor[-1].distribution_class = SquashedNormal
+    batch = make_batch(12, demo_rows=4)
+    torch.manual_seed(1)
+    with_demos = loss.actor_terms(batch)
+    after = torch.rand(1)
+    torch.manual_seed(1)
+    alone = loss.actor_terms(batch[:8].exclude("is_demo"))
+    assert torch.equal(torch.rand(1), after)
+    torch.testing.assert_close(with_demos.log_prob, alone.log_prob)
+    torch.testing.assert_close(with_demos.rl, alone.rl)
+    torch.testing.assert_close(with_demos.bc, loss.bc_loss(batch))
+
+
 class RowNoise(SquashedNormal):
     """Draws noise that belongs to the row, wherever in the batch the row is."""
 
