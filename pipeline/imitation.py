@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from tensordict import TensorDict, TensorDictBase
@@ -12,7 +13,7 @@ from losses import BCSACLoss
 from pipeline.compilation import compiled
 from pipeline.cuda_graphs import recorded
 from pipeline.gradients import ImitationGradients, hand_over
-from pipeline.optimizers import AdamStep, make_adam, make_annealing, set_capturable
+from pipeline.optimizers import AdamStep, make_adam, make_annealing, set_recordable
 
 
 class ImitationStepper(OptimizationStepper):
@@ -26,7 +27,7 @@ class ImitationStepper(OptimizationStepper):
             the loss hardly moves; an annealed run ends where the wandering has died down.
         cuda_graphs: Whether to replay updates as CUDA graphs; networks and batches are on a GPU
             then.
-        compile_updates: Whether to compile the gradients.
+        compile_updates: Whether to compile the updates.
     """
 
     def __init__(
@@ -39,13 +40,13 @@ class ImitationStepper(OptimizationStepper):
         compile_updates: bool = False,
     ) -> None:
         self.gradients = ImitationGradients(loss)
-        self._teach = compiled(self.gradients.actor, compile_updates)
         self.optimizer = make_adam([(loss.actor.parameters(), actor_lr)])
         self.annealing = make_annealing(self.optimizer, anneal_updates)
-        self._cuda_graphs = cuda_graphs
-        set_capturable(self.optimizer, cuda_graphs)
+        self._prepare = partial(set_recordable, recorded=cuda_graphs, compiled=compile_updates)
+        self._prepare(self.optimizer)
         self._adam = AdamStep(self.optimizer)
-        self._update = recorded(self._learn, cuda_graphs)
+        learn = compiled(self._learn, self._adam.state, compile_updates)
+        self._update = recorded(learn, cuda_graphs)
 
     def step(self, _trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
         """Updates on one batch of demonstration rows; returns ``loss_bc``."""
@@ -54,7 +55,7 @@ class ImitationStepper(OptimizationStepper):
         return TensorDict(found, device=sub_batch.device)
 
     def _learn(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        found, gradients = self._teach(batch)
+        found, gradients = self.gradients.actor(batch)
         hand_over(self.gradients.actor_parameters, gradients)
         self._adam()
         return found
@@ -69,5 +70,5 @@ class ImitationStepper(OptimizationStepper):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""
         self.optimizer.load_state_dict(state["optimizer"])
-        set_capturable(self.optimizer, self._cuda_graphs)
+        self._prepare(self.optimizer)
         self.annealing.load_state_dict(state["annealing"])

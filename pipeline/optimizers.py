@@ -8,6 +8,7 @@ from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
+from torch.fx.experimental.proxy_tensor import get_proxy_mode
 from torch.optim.adam import adam
 from torch.optim.lr_scheduler import ConstantLR, LambdaLR, LRScheduler
 
@@ -27,24 +28,58 @@ class AdamStep:
     ``Optimizer.step`` looks up each parameter's moments, the hooks and the profiler at every call,
     which on small networks takes longer than the arithmetic (docs/performance.md). Its functional
     form is called here on lists that are made once, and again after ``load_state_dict``.
+
+    Args:
+        optimizer: Every parameter of it that is not frozen has a gradient whenever a step is made.
     """
 
     def __init__(self, optimizer: torch.optim.Adam) -> None:
         self._optimizer = optimizer
         self._groups: list[_Group] = []
+        self._state: list[Tensor] = []
         optimizer.register_load_state_dict_post_hook(lambda _optimizer: self._groups.clear())
+
+    def state(self) -> list[Tensor]:
+        """What a step works on: parameters, their moments and counts of steps, rates in memory."""
+        if not self._groups:
+            _make_moments(self._optimizer)
+            found = [_Group.of(group, self._optimizer) for group in self._optimizer.param_groups]
+            self._groups = [group for group in found if group.parameters]
+            self._state = [tensor for group in self._groups for tensor in group.state()]
+        return self._state
 
     @torch.no_grad()
     def __call__(self) -> None:
-        """One step along the parameters' ``grad``; the first one decides which of them learn."""
-        if self._groups:
-            for group in self._groups:
-                group.step()
-            return
-        # It makes the moments, for parameters that have a gradient.
-        self._optimizer.step()
-        found = [_Group.of(group, self._optimizer) for group in self._optimizer.param_groups]
-        self._groups = [group for group in found if group.parameters]
+        """One step along the parameters' ``grad``.
+
+        For a tracer it is arithmetic, which a compiler can make part of an update's loops;
+        otherwise it is torch's kernel.
+        """
+        self.state()
+        traced = get_proxy_mode() is not None
+        for group in self._groups:
+            group.step(as_arithmetic=traced)
+
+
+def _make_moments(optimizer: torch.optim.Adam) -> None:
+    """Give the parameters that learn what ``Adam`` itself gives them at its first step alone.
+
+    Of zero gradients that step changes nothing but the counts, which are set back.
+    """
+    parameters = [p for group in optimizer.param_groups for p in group["params"]]
+    new = [p for p in parameters if p.requires_grad and p not in optimizer.state]
+    if not new:
+        return
+    gradients = [parameter.grad for parameter in parameters]
+    for parameter in parameters:
+        parameter.grad = None
+    for parameter in new:
+        parameter.grad = torch.zeros_like(parameter)
+    optimizer.step()
+    for parameter, gradient in zip(parameters, gradients, strict=True):
+        parameter.grad = gradient
+    for parameter in new:
+        optimizer.state[parameter]["step"].zero_()
 
 
 @dataclass(frozen=True)
@@ -64,7 +99,12 @@ class _Group:
         )
         return cls(settings, parameters, moments, squares, steps)
 
-    def step(self) -> None:
+    def state(self) -> list[Tensor]:
+        rate = self.settings["lr"]
+        in_memory = [rate] if isinstance(rate, Tensor) else []
+        return [*self.parameters, *self.moments, *self.squares, *self.steps, *in_memory]
+
+    def step(self, *, as_arithmetic: bool) -> None:
         settings = self.settings  # looked up at each step: a schedule changes the rate
         beta1, beta2 = settings["betas"]
         adam(
@@ -75,7 +115,10 @@ class _Group:
             self.squares,
             [],
             self.steps,
-            fused=True,
+            fused=not as_arithmetic,
+            foreach=False,
+            # The form for gradients of gradients is the one that reads no number off a tensor.
+            differentiable=as_arithmetic,
             capturable=settings["capturable"],
             amsgrad=False,
             beta1=beta1,
@@ -97,18 +140,21 @@ def make_annealing(optimizer: torch.optim.Optimizer, updates: int | None) -> LRS
     return LambdaLR(optimizer, [lambda update: share(update), *[lambda _update: 1.0] * others])
 
 
-def set_capturable(optimizer: torch.optim.Optimizer, capturable: bool) -> None:
-    """Make an optimizer's steps fit for recording, or ordinary again.
+def set_recordable(
+    optimizer: torch.optim.Optimizer, *, recorded: bool, compiled: bool = False
+) -> None:
+    """Make an optimizer's steps fit for being recorded or compiled, or ordinary again.
 
-    Recorded steps read their rates from the GPU's memory, where a schedule changes them in place.
-    Loading a state brings its own kind of rates along: call this again afterwards.
+    Such steps read their rates from memory, where a schedule changes them in place. Loading a
+    state brings its own kind of rates along: call this again afterwards.
     """
     device = optimizer.param_groups[0]["params"][0].device
+    # The fused kernel of a GPU reads a float32.
+    dtype = torch.float32 if recorded else torch.float64
     for group in optimizer.param_groups:
         rate: Any = float(group["lr"])
-        # The fused kernel reads a float32.
-        at_hand = torch.tensor(rate, dtype=torch.float32, device=device) if capturable else rate
-        group["lr"] = at_hand
-        group["capturable"] = capturable
+        in_memory = torch.tensor(rate, dtype=dtype, device=device)
+        group["lr"] = in_memory if recorded or compiled else rate
+        group["capturable"] = recorded
     # It would warn that capturable steps run without a recording: the first two of each layout do.
     optimizer._warned_capturable_if_run_uncaptured = True

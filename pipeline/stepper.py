@@ -16,7 +16,7 @@ from losses import BCSACLoss
 from pipeline.compilation import compiled
 from pipeline.cuda_graphs import Update, recorded
 from pipeline.gradients import BCSACGradients, hand_over
-from pipeline.optimizers import AdamStep, make_adam, make_annealing, set_capturable
+from pipeline.optimizers import AdamStep, make_adam, make_annealing, set_recordable
 
 METRICS = (
     "loss_qvalue",
@@ -95,7 +95,7 @@ class BCSACStepper(OptimizationStepper):
             keeps it constant.
         cuda_graphs: Whether to replay updates as CUDA graphs. Networks and batches are on a GPU
             then, and without ``loss.rl_on_demos`` the loss must know its ``main_rows``.
-        compile_updates: Whether to compile the gradients (:class:`~pipeline.compilation.Compiled`);
+        compile_updates: Whether to compile the updates (:class:`~pipeline.compilation.Compiled`);
             the loss must know its ``main_rows`` likewise.
     """
 
@@ -132,15 +132,18 @@ class BCSACStepper(OptimizationStepper):
         # A tensor, which a recorded update reads again each time.
         self._weight = torch.zeros((), device=loss.log_alpha.device)
         self.gradients = BCSACGradients(loss, self._weight, bc_gradient_ratio)
-        self._teach_critic = compiled(self.gradients.critic, compile_updates)
-        self._teach_actor = compiled(self.gradients.actor, compile_updates)
+        critic, actor = (self._adam[name].state for name in ("critic", "actor"))
+        self._learn_critic = compiled(self._critic_update, critic, compile_updates)
+        self._learn_actor = compiled(self._actor_update, actor, compile_updates)
         # Taken apart for measurements alone, one update in a hundred is not worth compiling.
         always_apart = bc_gradient_ratio is not None
-        self._teach_by_terms = compiled(
-            self.gradients.actor_by_terms, compile_updates and always_apart
+        self._learn_actor_by_terms = compiled(
+            partial(self._actor_update, by_terms=True), actor, compile_updates and always_apart
         )
         self._cuda_graphs = cuda_graphs
-        self._prepare_optimizers()
+        self._prepare = partial(set_recordable, recorded=cuda_graphs, compiled=compile_updates)
+        for optimizer in self.optimizers.values():
+            self._prepare(optimizer)
         self._updates: dict[StepParts, Update] = {}
 
     def step(self, _trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
@@ -176,21 +179,21 @@ class BCSACStepper(OptimizationStepper):
     def _learn(self, parts: StepParts, batch: TensorDictBase) -> dict[str, Tensor]:
         found = self._learn_critic(batch)
         if parts.actor:
-            found |= self._learn_actor(batch, by_terms=parts.by_terms)
+            found |= (self._learn_actor_by_terms if parts.by_terms else self._learn_actor)(batch)
         if parts.target:
             self.loss.update_target()
         return found
 
-    def _learn_critic(self, batch: TensorDictBase) -> dict[str, Tensor]:
-        found, gradients = self._teach_critic(batch)
+    def _critic_update(self, batch: TensorDictBase) -> dict[str, Tensor]:
+        found, gradients = self.gradients.critic(batch)
         hand_over(self.gradients.critic_parameters, gradients)
         self._clip(self.gradients.critic_parameters)
         self._adam["critic"]()
         return found
 
-    def _learn_actor(self, batch: TensorDictBase, *, by_terms: bool) -> dict[str, Tensor]:
-        found, gradients = (self._teach_by_terms if by_terms else self._teach_actor)(batch)
+    def _actor_update(self, batch: TensorDictBase, *, by_terms: bool = False) -> dict[str, Tensor]:
         of = self.gradients
+        found, gradients = (of.actor_by_terms if by_terms else of.actor)(batch)
         hand_over([*of.actor_parameters, *of.temperature], gradients)
         self._clip(of.actor_parameters)
         self._adam["actor"]()
@@ -213,11 +216,7 @@ class BCSACStepper(OptimizationStepper):
         """Restores what :meth:`state_dict` gave."""
         for name, optimizer in self.optimizers.items():
             optimizer.load_state_dict(state["optimizers"][name])
-        self._prepare_optimizers()
+            self._prepare(optimizer)
         self.annealing.load_state_dict(state["annealing"])
         self.critic_updates = state["critic_updates"]
         self.last = {key: value.to(self._weight.device) for key, value in state["last"].items()}
-
-    def _prepare_optimizers(self) -> None:
-        for optimizer in self.optimizers.values():
-            set_capturable(optimizer, self._cuda_graphs)
