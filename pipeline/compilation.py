@@ -12,8 +12,8 @@ import torch
 import torch._inductor
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
+from torch._decomp import get_decompositions
 from torch._inductor.exc import InductorError
-from torch._ops import OpOverload
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from pipeline.cuda_graphs import Update
@@ -50,14 +50,18 @@ def _exact_power(base: float, exponent: Tensor) -> Tensor:
     return base ** exponent.double()
 
 
-DECOMPOSITIONS: dict[OpOverload, Callable[..., Tensor]] = {
+DECOMPOSITIONS: dict[Any, Callable[..., Any]] = {
     torch.ops.aten.addmm.default: _bias_apart,
     torch.ops.aten.baddbmm.default: _bias_apart,
     torch.ops.aten.pow.Scalar: _exact_power,
+    # Taken apart here rather than by Inductor, so that a row's scale can be computed once.
+    **get_decompositions(
+        [torch.ops.aten.native_layer_norm, torch.ops.aten.native_layer_norm_backward]
+    ),
 }
 
 
-EXPAND = torch.ops.aten.expand.default
+EXPAND, RSQRT = torch.ops.aten.expand.default, torch.ops.aten.rsqrt.default
 
 
 class Compiled:
@@ -140,7 +144,7 @@ def _kept(tensors: Sequence[Tensor]) -> Iterator[None]:
 
 def _compiled(graph: torch.fx.GraphModule, values: Sequence[Tensor]) -> Callable[..., Any]:
     """``graph`` as loops, called from C++ where it holds nothing that this cannot call."""
-    _compute_scalars_once(graph.graph)
+    _compute_once(graph.graph)
     for node in graph.graph.nodes:
         # The tracer's accounts of the values do not go together; Inductor makes its own.
         node.meta.pop("val", None)
@@ -150,19 +154,22 @@ def _compiled(graph: torch.fx.GraphModule, values: Sequence[Tensor]) -> Callable
     return torch._inductor.compile(graph, [*values], options=OPTIONS)
 
 
-def _compute_scalars_once(graph: torch.fx.Graph) -> None:
-    """Give numbers that many elements share, like the size of a step, a place in memory.
+def _compute_once(graph: torch.fx.Graph) -> None:
+    """Give numbers that many elements share a place in memory: a step's size, a row's scale.
 
     Inductor would make them part of those elements' loops, where they are computed again for every
     few of them: they might change in between, for all that the C++ compiler knows.
     """
     for node in list(graph.nodes):
+        shared = node.target is RSQRT or (node.op == "call_function" and _dimensions(node) == 0)
         # What is expanded is a gradient of a mean, a number that is known now.
         users = [user for user in node.users if _dimensions(user) and user.target is not EXPAND]
-        if node.op == "call_function" and _dimensions(node) == 0 and users:
+        if shared and users:
+            value = node.meta["val"]
+            view = (node, list(value.shape), list(value.stride()))
             with graph.inserting_after(node):
                 # Of what is viewed like this, Inductor must know where it lies.
-                once = graph.call_function(torch.ops.aten.as_strided.default, (node, [], []))
+                once = graph.call_function(torch.ops.aten.as_strided.default, view)
             for user in users:
                 user.replace_input_with(node, once)
 

@@ -150,7 +150,7 @@ def set_recordable(
     """
     device = optimizer.param_groups[0]["params"][0].device
     # The fused kernel of a GPU reads a float32.
-    dtype = torch.float32 if recorded else torch.float64
+    dtype = torch.float64 if device.type == "cpu" else torch.float32
     for group in optimizer.param_groups:
         rate: Any = float(group["lr"])
         in_memory = torch.tensor(rate, dtype=dtype, device=device)

@@ -132,8 +132,12 @@ class BCSACStepper(OptimizationStepper):
         # A tensor, which a recorded update reads again each time.
         self._weight = torch.zeros((), device=loss.log_alpha.device)
         self.gradients = BCSACGradients(loss, self._weight, bc_gradient_ratio)
-        critic, actor = (self._adam[name].state for name in ("critic", "actor"))
-        self._learn_critic = compiled(self._critic_update, critic, compile_updates)
+        # The actor's update does not look at the target, which therefore moves in the same loops
+        # as the critics where it always does: else their update would be compiled twice.
+        self._target_with_critic = compile_updates and self.rhythm.target_period == 1
+        self._target = [*loss.target_critic.parameters(), *loss.target_critic.buffers()]
+        self._learn_critic = compiled(self._critic_update, self._critic_state, compile_updates)
+        actor = self._adam["actor"].state
         self._learn_actor = compiled(self._actor_update, actor, compile_updates)
         # Taken apart for measurements alone, one update in a hundred is not worth compiling.
         always_apart = bc_gradient_ratio is not None
@@ -180,15 +184,20 @@ class BCSACStepper(OptimizationStepper):
         found = self._learn_critic(batch)
         if parts.actor:
             found |= (self._learn_actor_by_terms if parts.by_terms else self._learn_actor)(batch)
-        if parts.target:
+        if parts.target and not self._target_with_critic:
             self.loss.update_target()
         return found
+
+    def _critic_state(self) -> list[Tensor]:
+        return [*self._adam["critic"].state(), *self._target]
 
     def _critic_update(self, batch: TensorDictBase) -> dict[str, Tensor]:
         found, gradients = self.gradients.critic(batch)
         hand_over(self.gradients.critic_parameters, gradients)
         self._clip(self.gradients.critic_parameters)
         self._adam["critic"]()
+        if self._target_with_critic:
+            self.loss.update_target()
         return found
 
     def _actor_update(self, batch: TensorDictBase, *, by_terms: bool = False) -> dict[str, Tensor]:

@@ -59,6 +59,40 @@ def test_steps_are_those_of_the_optimizer():
     assert torch.equal(lean.frozen, torch.ones(2))
 
 
+def test_moments_are_made_before_the_first_step_and_change_nothing():
+    learner = Learner(lean=True)
+    before = [parameter.detach().clone() for parameter in learner.network.parameters()]
+    marker = torch.ones(2, 4)
+    learner.network[1].weight.grad = marker
+    state = learner.step.state()
+    assert learner.network[1].weight.grad is marker
+    assert all(map(torch.equal, learner.network.parameters(), before))
+    moments = learner.optimizer.state
+    assert learner.frozen not in moments
+    assert len(state) == 4 * len(moments) == 4 * 5
+    assert {of_one["step"].item() for of_one in moments.values()} == {0.0}
+    known = {tensor.data_ptr() for tensor in state}
+    assert all(
+        value.data_ptr() in known for of_one in moments.values() for value in of_one.values()
+    )
+
+
+def test_moments_missing_from_a_loaded_state_are_made_and_the_others_stay():
+    """So is a run's that was saved while its actor still waited."""
+    part = Learner(lean=False)
+    part.temperature.grad = torch.tensor(2.0)
+    part.optimizer.step()
+    lean = Learner(lean=True)
+    lean.learn(range(1))
+    lean.optimizer.load_state_dict(part.optimizer.state_dict())
+    lean.step.state()
+    moments = lean.optimizer.state
+    assert moments[lean.temperature]["exp_avg"] == part.optimizer.state[part.temperature]["exp_avg"]
+    steps = {name: moments[p]["step"].item() for name, p in lean.network.named_parameters()}
+    assert moments[lean.temperature]["step"] == 1.0
+    assert set(steps.values()) == {0.0}
+
+
 def test_a_loaded_state_is_gone_on_from():
     """Also where steps were made before it was loaded."""
     lean, plain = Learner(lean=True), Learner(lean=False)

@@ -34,13 +34,13 @@ def make_loss(device: str = "cpu", **options) -> BCSACLoss:
     )
 
 
-def make_stepper(loss: BCSACLoss, **options) -> BCSACStepper:
+def make_stepper(loss: BCSACLoss, *, target_period: int = 2, **options) -> BCSACStepper:
     return BCSACStepper(
         loss,
         actor_lr=1e-3,
         critic_lr=2e-3,
         temperature_lr=3e-3,
-        rhythm=StepRhythm(target_period=2, diagnostics_period=3, actor_delay=2),
+        rhythm=StepRhythm(target_period=target_period, diagnostics_period=3, actor_delay=2),
         anneal_updates=UPDATES,
         **options,
     )
