@@ -196,7 +196,8 @@ def test_the_first_steps_of_adam_have_their_size():
 def test_shared_numbers_have_their_place_in_memory():
     def function(rows: Tensor, rate: Tensor) -> Tensor:
         scale = rows.square().mean(1, keepdim=True).rsqrt()
-        return rows * scale * (2.0 * rate)
+        known = rows.new_ones(()).expand_as(rows)
+        return rows * scale * (2.0 * rate) + known
 
     rows, rate = torch.randn(3, 4), torch.tensor(0.1)
     graph = make_fx(function)(rows, rate)
