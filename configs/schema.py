@@ -236,7 +236,7 @@ class Config:
     torch_threads: int | None = None  # intra-op threads; null = measured when the run starts
     precision: str = "fp32"  # of hidden layers: fp32 | bf16 | auto (bf16 where it is faster)
     # Of a CPU, where null = in a run of 5,000 updates or more, if it can and if it pays:
-    compile_updates: bool | None = None  # compile the gradients' arithmetic
+    compile_updates: bool | None = None  # compile updates, Adam included
     onednn: bool | None = None  # multiply float32 matrices by oneDNN, not by MKL
     cuda_graphs: bool | None = None  # replay updates as CUDA graphs; null = if device is CUDA
     run_dir: str = MISSING
