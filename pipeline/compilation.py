@@ -60,7 +60,6 @@ DECOMPOSITIONS: dict[Any, Callable[..., Any]] = {
     ),
 }
 
-
 EXPAND, RSQRT = torch.ops.aten.expand.default, torch.ops.aten.rsqrt.default
 
 

@@ -132,8 +132,8 @@ class BCSACStepper(OptimizationStepper):
         # A tensor, which a recorded update reads again each time.
         self._weight = torch.zeros((), device=loss.log_alpha.device)
         self.gradients = BCSACGradients(loss, self._weight, bc_gradient_ratio)
-        # The actor's update does not look at the target, which therefore moves in the same loops
-        # as the critics where it always does: else their update would be compiled twice.
+        # A target that moves at every update does so in its critics' loops, since the actor's
+        # update does not look at it. One that moves now and then would need two compilations.
         self._target_with_critic = compile_updates and self.rhythm.target_period == 1
         self._target = [*loss.target_critic.parameters(), *loss.target_critic.buffers()]
         self._learn_critic = compiled(self._critic_update, self._critic_state, compile_updates)

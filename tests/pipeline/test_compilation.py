@@ -117,10 +117,10 @@ def test_a_loaded_state_is_gone_on_from():
 def test_tracing_leaves_nothing_behind():
     loss = make_loss()
     stepper = make_stepper(loss, compile_updates=True)
-    for batch in marked(5):  # the fourth is taken apart, and not compiled
+    for batch in marked(5):
         stepper.step(None, batch)
-    learnt_by_compiled = [*loss.critic.parameters()]
-    assert all(parameter.grad is None for parameter in learnt_by_compiled)
+    # The actor's last update may be one that is taken apart, which is not compiled.
+    assert all(parameter.grad is None for parameter in loss.critic.parameters())
     counts = {s["step"].item() for s in stepper.optimizers["critic"].state.values()}
     assert counts == {5.0}
 
