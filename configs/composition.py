@@ -1,31 +1,133 @@
-"""The configuration of a run from Python, as the command line composes it."""
+"""Recipes from YAML and a command line."""
 
 from __future__ import annotations
 
-from typing import cast
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
-from hydra import compose, initialize_config_module
+from hydra import compose as hydra_compose
+from hydra import initialize_config_module
+from hydra.core.config_store import ConfigStore
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import OmegaConf, open_dict
+from hydra.core.override_parser.types import Quote, QuotedString
+from omegaconf import DictConfig, OmegaConf, open_dict
 
-from configs.schema import Config, register_schema
+from configs.schema import register_schema
+from envs.registry import task_defaults
+from pipeline.files.run_files import PLACES
+from pipeline.literals import LITERAL, literal
+from pipeline.recipe import Recipe, TaskSettings
+from pipeline.renamed import rename_overrides
+
+_logger = logging.getLogger(__name__)
+
+Defaults = Mapping[str, Mapping[str, object]]
+ADJUSTED: Final = ("preset/default", "variant/best")
+"""Configuration files behind which a task may put values of its own."""
+TASK_KEY: Final = "task.name="
+NEW_KEYS: Final = ("task.kwargs.", "task.randomise.factors.", "task.randomise.outside.")
+"""Begin the keys of dictionaries, which any task may name."""
 
 
-def compose_config(*overrides: str) -> Config:
-    """Composes and resolves what ``python -m pipeline.train`` with these arguments would run.
+def task_named(overrides: Sequence[str]) -> str:
+    """The task that a command line asks for."""
+    named = [o.removeprefix(TASK_KEY) for o in overrides if o.startswith(TASK_KEY)]
+    return literal(named[-1]) if named else TaskSettings.name
+
+
+def register_task_defaults(defaults: Defaults) -> None:
+    """Has Hydra put a task's own values behind the files of :data:`ADJUSTED`.
+
+    Args:
+        defaults: values of dotted keys, by file (:attr:`envs.task.Task.defaults`).
+
+    Raises:
+        ValueError: If a file is none of those.
+    """
+    unknown = sorted(set(defaults) - set(ADJUSTED))
+    if unknown:
+        raise ValueError(f"task defaults follow {unknown}, which is none of {list(ADJUSTED)}")
+    for file in ADJUSTED:
+        folder, name = file.split("/")
+        node: Any = OmegaConf.create({})
+        for key, value in defaults.get(file, {}).items():
+            OmegaConf.update(node, key, value)
+        ConfigStore.instance().store(
+            group=f"task_{folder}", name=name, node=node, package="_global_"
+        )
+
+
+def prepare(overrides: Sequence[str]) -> list[str]:
+    """Makes Hydra ready for a command line: the keys, and the values of the task it asks for.
+
+    Args:
+        overrides: As typed; keys may have names of before.
+
+    Returns:
+        The overrides under today's names.
+
+    Raises:
+        UnknownTaskError: If no task has the name that is asked for.
+    """
+    register_schema()
+    renamed, found = rename_overrides(list(overrides))
+    for old, new in found.items():
+        _logger.warning("%s is now called %s; the old name will go", old, new)
+    register_task_defaults(task_defaults(task_named(renamed)))
+    several = bool({"-m", "--multirun"} & set(renamed))
+    return [spelled_for_hydra(override, several=several) for override in renamed]
+
+
+def spelled_for_hydra(override: str, *, several: bool = False) -> str:
+    """An override as Hydra wants it, so that paths and a task's options can be typed plainly.
+
+    Its dictionaries take new keys behind ``++`` only, its grammar knows no unquoted ``>``, and
+    commas, equals signs and quotes of a path would be read as grammar.
+
+    Args:
+        override: As typed.
+        several: Whether several runs are asked for: a comma in a path means what it does to Hydra.
+    """
+    key, separator, value = override.partition("=")
+    if separator and key in LITERAL and value not in {"", "null"} and not several:
+        quoted = QuotedString(text=literal(value), quote=Quote.single).with_quotes()
+        return f"{key}={quoted}".replace("${", "\\${")
+    if separator and key.startswith(NEW_KEYS):
+        return f"++{override}"
+    if separator and key == "task.success" and ">" in value and value[0] not in "'\"":
+        return f"{key}='{value}'"
+    return override
+
+
+def recipe_of(config: DictConfig) -> Recipe:
+    """The recipe that Hydra composed.
+
+    Raises:
+        SettingsError: If a value is of another type than its key's, or out of its range.
+    """
+    values = OmegaConf.to_container(config, resolve=True)
+    assert isinstance(values, dict)
+    kept = {str(key): value for key, value in values.items() if key not in PLACES}
+    return Recipe.of(kept, "the configuration")
+
+
+def compose(*overrides: str) -> Recipe:
+    """The recipe that ``make train`` with these arguments would train.
 
     Args:
         overrides: As on the command line: ``variant=sid_bc``, ``preset=smoke``, ``seed=3``.
 
     Raises:
-        HydraException: If a key or choice is unknown or a value has the wrong type.
+        UnknownTaskError: If no task has the name that is asked for.
+        HydraException: If a key or choice is unknown.
+        SettingsError: If a value is of another type than its key's, or out of its range.
     """
-    register_schema()
+    renamed = prepare(overrides)
     with initialize_config_module("configs", version_base="1.3"):
-        config = compose("train", list(overrides), return_hydra_config=True)
+        config = hydra_compose("train", renamed, return_hydra_config=True)
     # Names of the choices made are looked up in Hydra's own part, as under hydra.main.
     HydraConfig.instance().set_config(config)
     with open_dict(config):
         del config["hydra"]
-    OmegaConf.resolve(config)
-    return cast(Config, config)
+    return recipe_of(config)

@@ -9,10 +9,11 @@ import gymnasium
 
 from envs.door.gymnasium_env import GYMNASIUM_ID, AdroitDoorEnv
 from envs.door.task import HORIZON
-from envs.door.torchrl_env import DoorEnv
-from envs.factory import make_env
+from envs.options import EnvOptions
+from envs.registry import find_task
+from envs.task import Stage, Task
 
-__all__ = ["DoorEnv", "make_env"]
+__all__ = ["EnvOptions", "Stage", "Task", "find_task"]
 
 if GYMNASIUM_ID not in gymnasium.registry:
     gymnasium.register(

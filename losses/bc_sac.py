@@ -2,30 +2,72 @@
 
 from __future__ import annotations
 
-import inspect
-import math
 from collections.abc import Callable, Sequence
-from copy import deepcopy
-from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, TypeVar, cast
 
-import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor, nn
-from torch.optim.swa_utils import get_ema_multi_avg_fn
-from torchrl.modules import ProbabilisticActor, TanhNormal
-from torchrl.objectives import LossModule
-from torchrl.objectives.utils import hold_out_net
+from torchrl.modules import ProbabilisticActor
 
 from losses import functional as F
-from losses.distributions import SquashedNormal
-from losses.ensemble import CriticEnsemble
-from losses.policy import Rows, draw, policy_distribution
-from losses.schedules import ConstantWeight, Schedule
-from losses.terms import ActorTerms, CriticTerms
+from losses.actor import EnsembleValue, SoftValue
+from losses.critic import SoftTD, TargetAction
+from losses.imitation import Emphasis, ErrorName, Imitation, QFilter, RowWeight
+from losses.objective import Objective
+from losses.passes import ActorPass
+from losses.proposal import Proposal
+from losses.schedules import Schedule
+from losses.settings import SettingError
+from losses.temperature import Temperature
+from losses.terms import Term
+
+AnyTerm = TypeVar("AnyTerm", bound=Term)
+
+KEYWORDS = {
+    "entropy": "entropy_in_target",
+    "distance": "loss_function",
+    "value": "actor_value",
+    "init": "init_temperature",
+    "learn": "learn_temperature",
+    "error": "imitation",
+    "weight": "bc_weight",
+    "margin": "action_margin",
+}
+"""What :class:`BCSACLoss` calls a setting of its terms, where it is not the same."""
 
 
-class BCSACLoss(LossModule):
+OUT_KEYS = [
+    "loss_qvalue",
+    "loss_actor",
+    "loss_alpha",
+    "loss_bc",
+    "alpha",
+    "entropy",
+    "bc_nll",
+    "bc_weight",
+    "q_data",
+    "q_policy",
+    "q_target",
+]
+"""What :class:`BCSACLoss` returns, in the order that it has always had."""
+
+
+class _Setting:
+    """An attribute that reads and changes a setting of one of the loss's terms."""
+
+    def __init__(self, term: str, setting: str) -> None:
+        self.term, self.setting = term, setting
+
+    def __get__(self, loss: BCSACLoss | None, _owner: type | None = None) -> Any:
+        if loss is None:
+            return self
+        return getattr(loss.composition[self.term], self.setting)
+
+    def __set__(self, loss: BCSACLoss, value: Any) -> None:
+        loss.configure(self.term, **{self.setting: value})
+
+
+class BCSACLoss(Objective):
     r"""Critic, actor, temperature and imitation terms of BC-SAC and its relatives.
 
     One flat batch ``[B]`` serves all terms. Rows marked ``is_demo`` are samples of the
@@ -55,6 +97,7 @@ class BCSACLoss(LossModule):
     (next, reward)       [B, 1]        reward, or discounted sum of n rewards
     (next, terminated)   [B, 1] bool   the environment's end, not a time limit
     is_demo              [B, 1] bool   optional: the row comes from D
+    imitated_action      [B, A]        optional: what to imitate, if not the executed action
     steps_to_next_obs    [B, 1] int    optional: environment steps n to ``next``
     ==================== ============= ===================================================
 
@@ -69,9 +112,10 @@ class BCSACLoss(LossModule):
             the actor's spec.
         learn_temperature: ``False`` keeps alpha where it starts.
         bc_weight: lambda, a number or a schedule of the number of updates.
-        imitation: ``"nll"`` (section III-B) or ``"mse"`` of the deterministic action.
+        imitation: ``"nll"`` (section III-B), ``"mse"`` of the deterministic action, or
+            ``"fixed_width"``, its regression in nats.
         action_margin: demonstrated actions are kept this far inside (-1, 1) before they are
-            scored; see :func:`~losses.functional.clamp_to_support`.
+            scored; see :func:`~losses.imitation_errors.clamp_to_support`.
         target_subset: critics in the target's minimum, drawn anew at each call; ``None`` is all.
         actor_value: the critics' ``"min"`` or ``"mean"`` is what the actor maximises.
         target_action: the policy's ``"sample"`` or ``"mean"`` action in the next state of the
@@ -81,48 +125,31 @@ class BCSACLoss(LossModule):
         rl_on_demos: whether the reinforcement terms use the demonstration rows too.
         main_rows: rows before the demonstrations in every batch with marks, where all are built
             alike; ``None`` counts them each time, for which an accelerator's host must wait.
-        bc_emphasis: factors ``[B]`` on the imitation error in :meth:`actor_terms` by observation
-            ``[B, O]``, where some demonstrated steps matter more than others; ``None`` is 1.
+        bc_emphasis: factors ``[B]`` on the imitation error in :meth:`actor_terms` by the rows
+            ``[B]`` of the batch, where some demonstrated steps matter more than others; ``None``
+            is 1.
         q_filter: whether :meth:`actor_terms` imitates only the demonstrated actions that the
             critics value above the policy's own mean action (arXiv:1709.10089, section V-C).
         tau: share of the critic that one :meth:`update_target` moves into the target, in [0, 1].
         loss_function: regression error of the critic.
+        proposal: another policy, whose action the critics' target takes where it is worth more.
+        further: terms beside those of BC-SAC.
 
     Raises:
         ValueError: for an argument outside its range, an actor with more than one input, or an
             ``"auto"`` target entropy for an actor without a spec.
     """
 
-    @dataclass
-    class _AcceptedKeys:
-        observation: NestedKey = "observation"
-        action: NestedKey = "action"
-        reward: NestedKey = "reward"
-        terminated: NestedKey = "terminated"
-        is_demo: NestedKey = "is_demo"
-        steps_to_next_obs: NestedKey = "steps_to_next_obs"
+    gamma = _Setting("qvalue", "gamma")
+    tau = _Setting("qvalue", "tau")
+    target_action = _Setting("qvalue", "target_action")
+    entropy_in_target = _Setting("qvalue", "entropy")
+    loss_function = _Setting("qvalue", "distance")
+    target_entropy = _Setting("alpha", "target_entropy")
+    bc_weight = _Setting("bc", "weight")
+    action_margin = _Setting("bc", "margin")
 
-    default_keys = _AcceptedKeys
-    tensor_keys: _AcceptedKeys
-    log_alpha: nn.Parameter
-    _averaged: tuple[list[nn.Parameter], list[nn.Parameter]]
-    _has_buffers: bool
-
-    out_keys = [  # noqa: RUF012 - TensorDictModuleBase's own contract
-        "loss_qvalue",
-        "loss_actor",
-        "loss_alpha",
-        "loss_bc",
-        "alpha",
-        "entropy",
-        "bc_nll",
-        "bc_weight",
-        "q_data",
-        "q_policy",
-        "q_target",
-    ]
-
-    def __init__(
+    def __init__(  # noqa: PLR0913 - the settings of a run, flat
         self,
         actor: ProbabilisticActor,
         critic: nn.Module | Sequence[nn.Module],
@@ -132,138 +159,57 @@ class BCSACLoss(LossModule):
         target_entropy: float | Literal["auto"] = "auto",
         learn_temperature: bool = True,
         bc_weight: Schedule | float = 1.0,
-        imitation: Literal["nll", "mse"] = "nll",
+        imitation: ErrorName = "nll",
         action_margin: float = 1e-2,
         target_subset: int | None = None,
-        actor_value: Literal["min", "mean"] = "min",
-        target_action: Literal["sample", "mean"] = "sample",
+        actor_value: EnsembleValue = "min",
+        target_action: TargetAction = "sample",
         entropy_in_target: bool = True,
         rl_on_demos: bool = False,
         main_rows: int | None = None,
-        bc_emphasis: Callable[[Tensor], Tensor] | None = None,
+        bc_emphasis: Callable[[TensorDictBase], Tensor] | None = None,
         q_filter: bool = False,
         tau: float = 0.005,
         loss_function: F.CriticDistance = "l2",
+        proposal: Proposal | None = None,
+        further: Sequence[Term] = (),
     ) -> None:
-        super().__init__()
-        _require("gamma", gamma, 0.0 <= gamma <= 1.0, "in [0, 1]")
-        _require("tau", tau, 0.0 <= tau <= 1.0, "in [0, 1]")
-        _require("init_temperature", init_temperature, init_temperature > 0.0, "> 0")
-        _require("action_margin", action_margin, 0.0 < action_margin < 1.0, "in (0, 1)")
-        _require("imitation", imitation, imitation in F.IMITATION_ERRORS, "nll or mse")
-        _require("actor_value", actor_value, actor_value in F.ENSEMBLE_VALUES, "min or mean")
-        _require(
-            "target_action", target_action, target_action in ("sample", "mean"), "sample or mean"
-        )
-        _require(
-            "entropy_in_target",
-            entropy_in_target,
-            not (entropy_in_target and target_action == "mean"),
-            "False with target_action='mean', which has no density",
-        )
-        _require("main_rows", main_rows, main_rows is None or main_rows >= 1, "None or >= 1")
-        _require("actor", actor.in_keys, len(actor.in_keys) == 1, "a policy with one input key")
+        terms: list[Term] = [
+            _term(
+                SoftTD,
+                gamma=gamma,
+                entropy=entropy_in_target,
+                target_subset=target_subset,
+                target_action=target_action,
+                distance=loss_function,
+                proposal=proposal,
+                tau=tau,
+            ),
+            _term(SoftValue, value=actor_value),
+            _term(
+                Temperature,
+                init=init_temperature,
+                target_entropy=target_entropy,
+                learn=learn_temperature,
+            ),
+            _term(
+                Imitation,
+                error=imitation,
+                weight=bc_weight,
+                margin=action_margin,
+                row_weights=_row_weights(bc_emphasis, q_filter, actor_value),
+            ),
+            *further,
+        ]
+        super().__init__(actor, critic, terms, rl_on_demos=rl_on_demos, main_rows=main_rows)
+        self.out_keys = [*OUT_KEYS, *(key for key in self.out_keys if key not in OUT_KEYS)]
 
-        self.actor = actor
-        self.critic = critic if isinstance(critic, nn.Module) else CriticEnsemble(critic)
-        self.target_critic = deepcopy(self.critic).requires_grad_(False)
-        self.log_alpha = nn.Parameter(
-            torch.tensor(math.log(init_temperature), device=next(actor.parameters()).device),
-            requires_grad=learn_temperature,
-        )
-        self.target_entropy = (
-            _negative_action_size(actor) if target_entropy == "auto" else float(target_entropy)
-        )
-        self.bc_weight = bc_weight if callable(bc_weight) else ConstantWeight(float(bc_weight))
-        self.gamma = gamma
-        self.action_margin = action_margin
-        self.target_action = target_action
-        self.entropy_in_target = entropy_in_target
-        self.rl_on_demos = rl_on_demos
-        self.main_rows = main_rows
-        self.bc_emphasis = bc_emphasis
-        self.q_filter = q_filter
-        self.loss_function = loss_function
-        # A Python number, not a buffer: on an accelerator, reading one would be a wait per update.
-        self.updates = 0
-        self._imitation_error = F.IMITATION_ERRORS[imitation]
-        self._actor_value = F.ENSEMBLE_VALUES[actor_value]
-        self._target_subset = target_subset
-        takes_members = "members" in inspect.signature(self.critic.forward).parameters
-        size = getattr(self.critic, "num_critics", None) if takes_members else None
-        self._ensemble_size: int | None = size
-        # The averaging function of AveragedModel without its shell, which copies instead of
-        # averaging at the first update and reads a counter back from the device at each.
-        self._average = get_ema_multi_avg_fn(1.0 - tau)
-        _list_averaged(self)
-        # Loading with assign=True puts other parameters in their place.
-        self.register_load_state_dict_post_hook(_list_averaged)
-
-    # ---------------------------------------------------------------- terms, each callable alone
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDict:
-        """Compute all terms of a flat batch at the present parameters.
-
-        Args:
-            tensordict: ``[B]`` with the keys of the class table.
-
-        Returns:
-            Scalars under :attr:`out_keys`. Their ``loss_*`` entries sum to what is minimised
-            (``loss_bc`` is weighted); the rest are detached: the temperature, the policy's mean
-            entropy in nats, the unweighted imitation error and its weight, and the mean values
-            of the batch's actions, of the policy's own and of the target. ``q_policy`` rising
-            away from ``q_data`` is the critic's overestimation off the data.
-        """
-        critic = self.critic_terms(tensordict)
-        actor = self.actor_terms(tensordict)
-        weight = self.current_bc_weight
-        return TensorDict(
-            {
-                "loss_qvalue": critic.loss,
-                "loss_actor": actor.rl,
-                "loss_alpha": self.alpha_loss(actor.log_prob),
-                "loss_bc": weight * actor.bc,
-                "alpha": self.alpha,
-                "entropy": -actor.log_prob.mean(),
-                "bc_nll": actor.bc.detach(),
-                "bc_weight": torch.full_like(actor.bc, weight),
-                "q_data": critic.q.mean(),
-                "q_policy": actor.q.mean(),
-                "q_target": critic.target.mean(),
-            }
-        )
-
-    def critic_terms(self, tensordict: TensorDictBase) -> CriticTerms:
-        """Compute the critics' loss (section III-A) on the reinforcement rows.
-
-        Args:
-            tensordict: ``[B]`` with the keys of the class table.
-        """
-        keys = self.tensor_keys
-        batch = self._reinforcement_batch(tensordict)
-        target = self._soft_td_target(batch)
-        q = self.critic(batch[keys.observation], batch[keys.action])
-        loss = F.critic_error(q, target, self.loss_function).mean()
-        return CriticTerms(loss, q.detach(), target)
-
-    def actor_terms(self, tensordict: TensorDictBase) -> ActorTerms:
-        """Compute both halves of the actor's objective with one forward pass of the actor.
-
-        Args:
-            tensordict: ``[B]``; of the class table, only observation, action and is_demo are read.
-        """
-        observation = tensordict[self.tensor_keys.observation]
-        policy = self._policy(observation)
-        rows = self._reinforcement_rows(tensordict)
-        chosen = slice(None) if rows is None else rows
-        action, log_prob = draw(policy, chosen)
-        rl, q = self._reinforcement(observation[chosen], action, log_prob)
-        if isinstance(rows, slice) and isinstance(policy, SquashedNormal):
-            # After them are demonstrations alone, before them none.
-            others = slice(rows.stop, None)
-            policy, tensordict = policy[others], tensordict[others]
-        bc = self._imitation(policy, tensordict, self._imitation_weights(policy, tensordict))
-        return ActorTerms(rl, bc, log_prob.detach(), q)
+    def __setattr__(self, name: str, value: Any) -> None:
+        """A setting stays one if it is a module, too, which torch would make a part of the loss."""
+        if isinstance(getattr(type(self), name, None), _Setting | property):
+            object.__setattr__(self, name, value)
+        else:
+            super().__setattr__(name, value)
 
     def qvalue_loss(self, tensordict: TensorDictBase) -> Tensor:
         """Return the loss ``[]`` of :meth:`critic_terms`."""
@@ -271,226 +217,53 @@ class BCSACLoss(LossModule):
 
     def actor_loss(self, tensordict: TensorDictBase) -> Tensor:
         """Return the reinforcement half ``[]`` of :meth:`actor_terms`; no other row is run."""
-        observation = self._reinforcement_batch(tensordict)[self.tensor_keys.observation]
-        action, log_prob = self._policy(observation).rsample_and_log_prob()
-        rl, _ = self._reinforcement(observation, action, log_prob)
-        return rl
-
-    def bc_loss(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the imitation error ``[]`` of all demonstration rows alike; no critic is run.
-
-        Without ``q_filter`` and ``bc_emphasis`` it is the imitation half of :meth:`actor_terms`.
-        """
-        observation = tensordict[self.tensor_keys.observation]
-        return self._imitation(self._policy(observation), tensordict)
-
-    def alpha_loss(self, batch: TensorDictBase | Tensor) -> Tensor:
-        """Compute the temperature's loss ``[]``.
-
-        Args:
-            batch: ``[B]`` transitions, on which the policy is sampled, or the log-densities
-                ``[R]`` of actions sampled already (:attr:`ActorTerms.log_prob`).
-        """
-        if not isinstance(batch, Tensor):
-            observation = self._reinforcement_batch(batch)[self.tensor_keys.observation]
-            with torch.no_grad():
-                _, batch = self._policy(observation).rsample_and_log_prob()
-        return F.temperature_objective(batch, self.log_alpha, self.target_entropy).mean()
-
-    # ------------------------------------------------------------------------ state between calls
-
-    @property
-    def alpha(self) -> Tensor:
-        """The temperature ``[]``, detached."""
-        return self.log_alpha.detach().exp()
+        seen = ActorPass(self, self._reinforcement_batch(tensordict))
+        return self._soft_value(seen).loss
 
     @property
     def current_bc_weight(self) -> float:
         """The weight lambda of the imitation term at the present number of updates."""
-        return self.bc_weight(self.updates)
-
-    def advance(self) -> None:
-        """Count one update; the schedule of the imitation weight moves on."""
-        self.updates += 1
-
-    @torch.no_grad()
-    def update_target(self) -> None:
-        """Move the target critics by ``tau`` towards the critics; copy buffers, if there are any.
-
-        Buffers are statistics (of a normalisation, say), which an average of two would falsify.
-        """
-        self._average(*self._averaged, None)
-        if self._has_buffers:  # looked for anew, because moving a module replaces its buffers
-            target, critic = self.target_critic.buffers(), self.critic.buffers()
-            for mine, theirs in zip(target, critic, strict=True):
-                mine.copy_(theirs)
-
-    def get_extra_state(self) -> Tensor:
-        """Return the number of updates, for ``state_dict``."""
-        return torch.tensor(self.updates)
-
-    def set_extra_state(self, state: Tensor) -> None:
-        """Restore the number of updates from ``state_dict``."""
-        self.updates = int(state)
-
-    # ------------------------------------------------------------------------- TorchRL's contract
+        return self.weight_of("bc")
 
     @property
-    def in_keys(self) -> list[NestedKey]:
-        """The entries that a batch must have; is_demo and steps_to_next_obs are optional."""
-        keys = self.tensor_keys
-        return [
-            keys.observation,
-            keys.action,
-            ("next", keys.observation),
-            ("next", keys.reward),
-            ("next", keys.terminated),
-        ]
+    def bc_emphasis(self) -> Callable[[TensorDictBase], Tensor] | None:
+        """The factors by observation on the imitation error, ``None`` for 1."""
+        return next((row.of for row in self._row_weights if isinstance(row, Emphasis)), None)
+
+    @bc_emphasis.setter
+    def bc_emphasis(self, emphasis: Callable[[TensorDictBase], Tensor] | None) -> None:
+        rows = _row_weights(emphasis, self.q_filter, self._soft_value.value)
+        self.configure("bc", row_weights=rows)
 
     @property
-    def functional(self) -> bool:
-        """False: networks are held as ordinary modules."""
-        return False
+    def q_filter(self) -> bool:
+        """Whether only actions that the critics value above the policy's own are imitated."""
+        return any(isinstance(row, QFilter) for row in self._row_weights)
 
-    # ----------------------------------------------------------------------------- shared pieces
+    @q_filter.setter
+    def q_filter(self, enabled: bool) -> None:
+        rows = _row_weights(self.bc_emphasis, enabled, self._soft_value.value)
+        self.configure("bc", row_weights=rows)
 
-    def _policy(self, observation: Tensor) -> TanhNormal:
-        """Run the actor on ``[B, O]``; nothing but the observation is handed to it."""
-        return policy_distribution(self.actor, observation)
+    @property
+    def _row_weights(self) -> Sequence[RowWeight]:
+        return cast(Imitation, self.composition["bc"]).row_weights
 
-    @torch.no_grad()
-    def _soft_td_target(self, batch: TensorDictBase) -> Tensor:
-        """Return the regression target ``[R, 1]`` of the batch's critics."""
-        keys = self.tensor_keys
-        next_observation = batch["next", keys.observation]
-        policy = self._policy(next_observation)
-        next_action, next_log_prob = policy.rsample_and_log_prob()
-        if self.target_action == "mean":
-            next_action = policy.deterministic_sample
-        return F.soft_td_target(
-            reward=batch["next", keys.reward],
-            terminated=batch["next", keys.terminated],
-            next_q=self._target_value(next_observation, next_action),
-            next_log_prob=next_log_prob,
-            temperature=self.alpha,
-            gamma=self.gamma,
-            steps=batch.get(keys.steps_to_next_obs, None),
-            entropy_in_target=self.entropy_in_target,
-        )
-
-    def _target_value(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Return the minimum ``[R, 1]`` over the target critics, or over a random few (REDQ)."""
-        size = self._target_subset
-        if size is None or self._ensemble_size is None:
-            return F.subset_minimum(self.target_critic(observation, action), size)
-        members = F.draw_members(self._ensemble_size, size, observation.device)
-        return F.subset_minimum(self.target_critic(observation, action, members=members))
-
-    def _reinforcement(
-        self, observation: Tensor, action: Tensor, log_prob: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Return the actor's reinforcement objective ``[]`` and the detached values ``[R, 1]``."""
-        # The action must carry a gradient through the critics, their parameters must not get one.
-        with hold_out_net(self.critic):
-            q = self._actor_value(self.critic(observation, action))
-        return F.actor_objective(log_prob, q, self.alpha).mean(), q.detach()
-
-    def _imitation(
-        self, policy: TanhNormal, tensordict: TensorDictBase, weights: Tensor | None = None
-    ) -> Tensor:
-        """Return the mean over the demonstration rows of their imitation errors ``[]``.
-
-        Each is multiplied by its row's of the ``weights [B]``; the divisor is the number of rows.
-        """
-        action = tensordict[self.tensor_keys.action]
-        is_demo = self._is_demo(tensordict)
-        if is_demo is None:
-            return action.new_zeros(())
-        # Deviation: the paper scores recorded actions as they are. At the edge of tanh's range that
-        # likelihood and its gradient explode; action_margin=1e-6, float32's limit, undoes this.
-        action = F.clamp_to_support(action, self.action_margin)
-        error = self._imitation_error(policy, action)
-        if weights is not None:
-            error = error * weights
-        return F.masked_mean(error, is_demo)
-
-    def _imitation_weights(self, policy: TanhNormal, tensordict: TensorDictBase) -> Tensor | None:
-        """Return the factors ``[B]`` on the rows' imitation errors, ``None`` for 1."""
-        weights = None
-        if self.bc_emphasis is not None:
-            weights = self.bc_emphasis(tensordict[self.tensor_keys.observation])
-        if self.q_filter:
-            worth = self._worth_imitating(policy, tensordict)
-            weights = worth.float() if weights is None else weights * worth
-        return weights
-
-    @torch.no_grad()
-    def _worth_imitating(self, policy: TanhNormal, tensordict: TensorDictBase) -> Tensor:
-        """Return which rows' actions ``[B]`` the critics value above the policy's mean action."""
-        observation = tensordict[self.tensor_keys.observation]
-        shown, own = (
-            self._actor_value(self.critic(observation, action))
-            for action in (tensordict[self.tensor_keys.action], policy.deterministic_sample)
-        )
-        return (shown > own).squeeze(-1)
-
-    def _is_demo(self, tensordict: TensorDictBase) -> Tensor | None:
-        """Return the mask ``[B]`` of the demonstration rows, ``None`` if there are no marks."""
-        mask = tensordict.get(self.tensor_keys.is_demo, None)
-        return None if mask is None else mask.squeeze(-1)
-
-    def _reinforcement_rows(self, tensordict: TensorDictBase) -> Rows | None:
-        """Return the indices ``[R]`` of the rows for reinforcement, ``None`` for all of them.
-
-        Where the demonstrations come last, as in the pipeline's batches, it is a slice, after
-        which all are demonstrations: a view in place of a copy of every entry. Counting makes an
-        accelerator's host wait, once: the price of not running the critics on rows that do not
-        count. With ``rl_on_demos`` or ``main_rows`` there is nothing to count.
-
-        Raises:
-            ValueError: if there are no such rows.
-        """
-        is_demo = self._is_demo(tensordict)
-        if self.rl_on_demos or is_demo is None:
-            return None
-        if self.main_rows is not None:
-            return slice(self.main_rows)
-        others = is_demo.logical_not()
-        count, first_demo = torch.stack([others.sum(), is_demo.int().argmax()]).tolist()
-        if count == 0:
-            raise ValueError(
-                "all rows of the batch are demonstrations, which leaves none for reinforcement: "
-                "mix in other transitions, set rl_on_demos=True, or call bc_loss alone"
-            )
-        if count in (first_demo, len(others)):
-            return slice(count)
-        return others.nonzero().squeeze(-1)
-
-    def _reinforcement_batch(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return the transitions ``[R]`` that the reinforcement terms use."""
-        rows = self._reinforcement_rows(tensordict)
-        return tensordict if rows is None else tensordict[rows]
+    @property
+    def _soft_value(self) -> SoftValue:
+        return cast(SoftValue, self.composition["rl"])
 
 
-def _list_averaged(loss: BCSACLoss, _incompatible_keys: object = None) -> None:
-    """List what ``update_target`` averages: looking for it takes longer than averaging it."""
-    target, critic = loss.target_critic, loss.critic
-    loss._averaged = list(target.parameters()), list(critic.parameters())
-    loss._has_buffers = next(critic.buffers(), None) is not None
+def _row_weights(
+    emphasis: Callable[[TensorDictBase], Tensor] | None, q_filter: bool, value: EnsembleValue
+) -> tuple[RowWeight, ...]:
+    by_state = () if emphasis is None else (Emphasis(emphasis),)
+    return (*by_state, QFilter(value)) if q_filter else by_state
 
 
-def _negative_action_size(actor: ProbabilisticActor) -> float:
-    """Return minus the number of action dimensions that the actor's spec states."""
-    action_key = actor[-1].out_keys[0]
-    if actor.spec is None or actor.spec.get(action_key) is None:
-        raise ValueError(
-            "target_entropy='auto' needs the size of the action: build the actor with spec=, "
-            "or give target_entropy as a number"
-        )
-    return -float(actor.spec[action_key].shape[-1])
-
-
-def _require(name: str, value: object, holds: bool, expected: str) -> None:
-    """Raise ``ValueError`` naming the argument unless ``holds``."""
-    if not holds:
-        raise ValueError(f"{name} must be {expected}, got {value!r}")
+def _term(kind: type[AnyTerm], **settings: Any) -> AnyTerm:
+    """The term of these settings; one that is refused is named as the loss's keyword."""
+    try:
+        return kind(**settings)
+    except SettingError as error:
+        raise error.renamed(KEYWORDS.get(error.name, error.name)) from None

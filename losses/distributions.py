@@ -65,9 +65,13 @@ class SquashedNormal(Distribution):
         before_tanh = torch.addcmul(self.loc, self.scale, noise)
         return before_tanh.tanh(), self._log_prob(before_tanh, noise)
 
+    def action_of(self, noise: Tensor) -> Tensor:
+        """The actions ``[..., A]`` that draws ``[..., A]`` from a standard normal make."""
+        return torch.addcmul(self.loc, self.scale, noise).tanh()
+
     def rsample(self, sample_shape: Shape = NO_SHAPE) -> Tensor:
         """Draw actions ``[*sample_shape, ..., A]`` with gradients."""
-        return torch.addcmul(self.loc, self.scale, self._noise(sample_shape)).tanh()
+        return self.action_of(self._noise(sample_shape))
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Return the log-density ``[...]`` of actions ``[..., A]``.

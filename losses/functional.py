@@ -17,11 +17,9 @@ from typing import Literal
 
 import torch
 from torch import Tensor
-from torchrl.modules import TanhNormal
 from torchrl.objectives.utils import distance_loss
 
 CriticDistance = Literal["l2", "l1", "smooth_l1"]
-ImitationError = Callable[[TanhNormal, Tensor], Tensor]
 
 
 def soft_td_target(
@@ -72,6 +70,26 @@ def soft_td_target(
         return reward + gamma * next_value
     _require_columns(reward=reward, steps=steps)
     return reward + gamma ** steps.to(next_value.dtype) * next_value
+
+
+def positive_advantage(returns: Tensor, value: Tensor, cap: float | None = None) -> Tensor:
+    r"""By how much an episode did better than the policy would: ``max(R - V(s), 0)``.
+
+    Source: arXiv:1806.05635, section 3, the equation of the self-imitation loss.
+
+    Args:
+        returns: ``[B]``, discounted returns R of episodes from the rows' states on.
+        value: ``[B]``, values V of these states.
+        cap: the largest advantage that counts; ``None`` for no limit.
+
+    Returns:
+        ``[B]``, >= 0.
+
+    Raises:
+        ValueError: if a shape is not as stated.
+    """
+    _require_rows(len(returns), returns=returns, value=value)
+    return (returns - value).clamp(min=0.0, max=cap)
 
 
 def critic_error(q: Tensor, target: Tensor, distance: CriticDistance = "l2") -> Tensor:
@@ -139,59 +157,6 @@ def temperature_objective(
     """
     _require_rows(len(log_prob), log_prob=log_prob)
     return -log_temperature * (log_prob.detach() + target_entropy)
-
-
-def clamp_to_support(action: Tensor, margin: float) -> Tensor:
-    """Move actions at or beyond the edges of (-1, 1) inside, to where a tanh density is usable.
-
-    The pre-tanh value atanh(a) of a recorded action grows without bound towards the edge, and the
-    likelihood with its square: for a policy of scale 0.3 and 28 saturated dimensions the negative
-    log-likelihood is 7,796 nats at a margin of 1e-6 (float32's own limit), 2,064 at 1e-3 and 972
-    at 1e-2. 5.6 % of the human actions lie outside [-1, 1].
-
-    Args:
-        action: any shape, nominally in [-1, 1].
-        margin: distance kept from the edges, in (0, 1).
-
-    Returns:
-        The same shape, in [-1 + margin, 1 - margin].
-    """
-    return action.clamp(-1.0 + margin, 1.0 - margin)
-
-
-def negative_log_likelihood(policy: TanhNormal, action: Tensor) -> Tensor:
-    """Imitation error of section III-B, ``-log pi(a|s)`` in nats.
-
-    Args:
-        policy: a distribution with ``B`` rows over ``A`` dimensions.
-        action: ``[B, A]`` inside the policy's support (see :func:`clamp_to_support`).
-
-    Returns:
-        ``[B]``; of a density, so it may be negative.
-    """
-    return -policy.log_prob(action)
-
-
-def mean_action_error(policy: TanhNormal, action: Tensor) -> Tensor:
-    """Squared distance between the policy's deterministic action and ``action``.
-
-    Averaged over the ``A`` dimensions. It leaves the policy's scale to the entropy term.
-
-    Args:
-        policy: a distribution with ``B`` rows over ``A`` dimensions.
-        action: ``[B, A]``.
-
-    Returns:
-        ``[B]``, in squared units of the action.
-    """
-    return (policy.deterministic_sample - action).square().mean(-1)
-
-
-IMITATION_ERRORS: Mapping[str, ImitationError] = {
-    "nll": negative_log_likelihood,
-    "mse": mean_action_error,
-}
-"""The imitation errors by the name that a configuration gives them."""
 
 
 def subset_minimum(

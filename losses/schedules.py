@@ -155,6 +155,21 @@ SCHEDULES: Mapping[str, type[Schedule]] = {
 """The schedules by the name that a configuration gives them."""
 
 
+def schedule_kind(schedule: Schedule) -> str:
+    """Return the name in :data:`SCHEDULES` of a schedule's class.
+
+    Raises:
+        ValueError: for another callable.
+    """
+    for kind, known in SCHEDULES.items():
+        if type(schedule) is known:
+            return kind
+    raise ValueError(
+        f"{schedule!r} is none of {', '.join(c.__name__ for c in SCHEDULES.values())}, which are "
+        "the weights that a run can save and go on with"
+    )
+
+
 def make_schedule(kind: str, **options: object) -> Schedule:
     """Build a schedule from its name and settings, e.g. ``make_schedule("constant", init=1.0)``.
 

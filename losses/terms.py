@@ -1,44 +1,201 @@
-"""What the two networks of BC-SAC are trained on, with its ingredients for logs and balancing."""
+"""What a term of the objective is, and what the terms of one update come to.
+
+A term is a frozen dataclass of its settings that can be called. Everything that is done with it
+follows from what it says of itself here: it is summed and differentiated with the others, its
+metrics are logged under its name, and its weight moves. A new one is a class in a file of its own
+(CONTRIBUTING.md, "How to add a term").
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
 
 from torch import Tensor
+from torchrl.modules import ProbabilisticActor
+
+from losses.passes import ActorPass, CriticPass, Networks
+from losses.rules import WeightRule
+from losses.schedules import ConstantWeight, Schedule
+
+
+@dataclass(frozen=True)
+class TermValue:
+    """What a term is on one batch.
+
+    Attributes:
+        loss: ``[]``, not times its weight.
+        measured: detached tensors by name, whose means are logged.
+    """
+
+    loss: Tensor
+    measured: Mapping[str, Tensor] = field(default_factory=dict)
+
+
+class Term(ABC):
+    """One term of the objective: settings, a name and a loss.
+
+    Subclasses are frozen dataclasses. Where one has a ``__post_init__`` of its own, it calls this
+    one's, which makes a number given as weight a constant schedule.
+    """
+
+    reinforces: ClassVar[bool] = False
+    """Whether it is about the rows that reinforce, and so needs some and a temperature."""
+    logs: ClassVar[tuple[str, ...]] = ()
+    """What of :attr:`TermValue.measured` is logged at each update."""
+    logs_after_step: ClassVar[tuple[str, ...]] = ()
+    """What :meth:`after_step` gives."""
+    returns: ClassVar[tuple[str, ...]] = ()
+    """What of :attr:`TermValue.measured` only the objective's ``forward`` gives besides."""
+
+    name: str
+    """Of the term in its objective, which has each name once."""
+    weight: Schedule | float | None = None
+    """Of its loss in the sum; ``None`` is 1 at all times, with nothing to log."""
+    rule: WeightRule | None = None
+    """What makes of :attr:`weight` the weight that counts; for the actor's terms."""
+    tau: float | None = None
+    """What one update of the target critics moves into them; for at most one term."""
+
+    def __post_init__(self) -> None:
+        """Make a number given as weight a schedule."""
+        if self.weight is not None and not callable(self.weight):
+            object.__setattr__(self, "weight", ConstantWeight(float(self.weight)))
+
+    def weight_at(self, updates: int) -> float:
+        """The weight of the update that follows ``updates`` completed ones, without its rule."""
+        return self.weight(updates) if callable(self.weight) else 1.0
+
+    def resolved(self, actor: ProbabilisticActor) -> Self:
+        """Itself with what was left open settled for ``actor``."""
+        return self
+
+    def after_step(self, networks: Networks) -> Mapping[str, Tensor]:
+        """What is logged of the state that an update leaves behind, detached scalars."""
+        return {}
+
+    def constants(self) -> Mapping[str, float]:
+        """Settings that stand beside the metrics, which would mean little without them."""
+        return {}
+
+    # ------------------------------------------------------------------------ names of metrics
+
+    @property
+    def loss_key(self) -> str:
+        """Of its loss, times its weight, among an objective's ``out_keys``."""
+        return f"loss_{self.name}"
+
+    @property
+    def metric(self) -> str:
+        """Of its loss in the logs, not times its weight."""
+        return self.loss_key if self.weight is None else self.name
+
+    @property
+    def weight_metric(self) -> str:
+        """Of its weight."""
+        return f"{self.name}_weight"
+
+    @property
+    def norm_metric(self) -> str:
+        """Of its gradient's norm, not times its weight."""
+        return f"grad_norm_{self.name}"
+
+    @property
+    def cosine_metric(self) -> str:
+        """Of the cosine between its gradient and the reinforcement term's."""
+        return f"grad_cosine_{self.name}"
+
+
+class CriticTerm(Term):
+    """A term that trains the critics, and nothing else."""
+
+    @abstractmethod
+    def __call__(self, seen: CriticPass) -> TermValue:
+        """Compute the loss on the rows that reinforce."""
+
+
+class ActorTerm(Term):
+    """A term that trains the actor, and nothing else; all of them see one forward pass of it."""
+
+    @abstractmethod
+    def __call__(self, seen: ActorPass) -> TermValue:
+        """Compute the loss; one that the batch says nothing about needs no gradient."""
+
+    def demonstration_error(self, seen: ActorPass) -> Tensor | None:
+        """The mean error ``[]`` of all demonstrations alike; ``None`` where it imitates none."""
+        return None
+
+
+def weighted(value: TermValue, weight: Any) -> Tensor:
+    """The loss ``[]`` times its weight, a number or ``[]``; ``None`` is 1."""
+    return value.loss if weight is None else weight * value.loss
+
+
+def total(values: Mapping[str, TermValue], weights: Mapping[str, Any]) -> Tensor:
+    """What is minimised ``[]``: the sum of the losses, each times its entry of ``weights``."""
+    first, *others = [weighted(value, weights.get(name)) for name, value in values.items()]
+    return sum(others, start=first)
 
 
 @dataclass(frozen=True)
 class CriticTerms:
-    """The critic loss and what it was made of; R rows took part.
+    """The critics' terms and what the soft TD error was made of; R rows took part.
 
     Attributes:
-        loss: ``[]``, the error summed over critics, mean over the R rows.
-        q: ``[E, R, 1]``, values of the batch's own actions, detached.
-        target: ``[R, 1]``, the soft TD target.
+        values: the terms by name.
     """
 
-    loss: Tensor
-    q: Tensor
-    target: Tensor
+    values: Mapping[str, TermValue]
+
+    @property
+    def loss(self) -> Tensor:
+        """``[]``, the soft TD error summed over critics, mean over the R rows."""
+        return self.values["qvalue"].loss
+
+    @property
+    def q(self) -> Tensor:
+        """``[E, R, 1]``, values of the batch's own actions, detached."""
+        return self.values["qvalue"].measured["q_data"]
+
+    @property
+    def target(self) -> Tensor:
+        """``[R, 1]``, the soft TD target."""
+        return self.values["qvalue"].measured["q_target"]
 
 
 @dataclass(frozen=True)
 class ActorTerms:
-    """The two halves of the BC-SAC actor objective, from one forward pass of the actor.
+    """The terms of the actor's objective, from one forward pass of the actor.
 
-    The objective (section III-C) is minimised as ``rl + weight * bc``. The halves come apart so
-    that their gradients can be taken, logged and balanced one by one; the graph of the forward
-    pass is shared, so the first of two such calls needs ``retain_graph=True``.
+    BC-SAC's (section III-C) is minimised as ``rl + weight * bc``. The terms come apart so that
+    their gradients can be taken, logged and balanced one by one; the graph of the forward pass is
+    shared, so all but the last of several such calls need ``retain_graph=True``.
 
     Attributes:
-        rl: ``[]``, mean of alpha log pi - Q over the R reinforcement rows.
-        bc: ``[]``, mean imitation error over the demonstration rows, not times lambda. Where none
-            is marked it is 0 with zero gradient; where the batch has no marks, a constant 0.
-        log_prob: ``[R]``, log-density in nats of the sampled actions, detached.
-        q: ``[R, 1]``, the critics' value of the sampled actions, detached.
+        values: the terms by name.
+        log_prob: ``[R]``, log-density in nats of the sampled actions, detached; ``None`` where no
+            term reinforces.
     """
 
-    rl: Tensor
-    bc: Tensor
-    log_prob: Tensor
-    q: Tensor
+    values: Mapping[str, TermValue]
+    log_prob: Tensor | None
+
+    @property
+    def rl(self) -> Tensor:
+        """``[]``, mean of alpha log pi - Q over the R reinforcement rows."""
+        return self.values["rl"].loss
+
+    @property
+    def bc(self) -> Tensor:
+        """``[]``, mean imitation error over the demonstration rows, not times lambda.
+
+        Where none is marked it is 0 with zero gradient; where the batch has no marks, a constant 0.
+        """
+        return self.values["bc"].loss
+
+    @property
+    def q(self) -> Tensor:
+        """``[R, 1]``, the critics' value of the sampled actions, detached."""
+        return self.values["rl"].measured["q_policy"]

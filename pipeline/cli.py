@@ -2,40 +2,105 @@
 
 from __future__ import annotations
 
-import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from tabulate import tabulate
 
-from envs.demonstrations import DemonstrationError, format_reports, load_demonstrations
-from pipeline.evaluate_run import evaluate_run, load_evaluation
-from pipeline.film import film
-from pipeline.record import record_demonstrations
-from pipeline.run_dir import EVALUATION, LEARNING_CURVE, RunDirectoryError, write_atomically
-from pipeline.tables import render
+from envs import find_task
+from envs.demonstrations import DemonstrationError
+from envs.pictures import Picture, RenderingUnavailableError
+from envs.registry import FORMS
+from envs.task import TaskFailedError
+from pipeline.commands.acting import Acting, task_override
+from pipeline.commands.demos_check import check_demonstrations
+from pipeline.commands.evaluate_run import run_evaluation
+from pipeline.commands.play import play as play_episodes
+from pipeline.commands.record import record_demonstrations
+from pipeline.commands.robust import BAR, robustness
+from pipeline.commands.robust import EPISODES as EPISODES_A_SETTING
+from pipeline.files.run_files import EVALUATION, as_json, write_atomically
+from pipeline.film.choice import Choice
+from pipeline.machine.extras import require_extras
+from pipeline.non_finite import EXIT_CODE, NonFiniteError
+from pipeline.report.sources import read_runs
+from pipeline.results.evaluation_files import load_evaluation
+from pipeline.results.robustness import FIGURE, ROBUSTNESS
+from pipeline.results.run_tables import reference_of, render
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
+USER_ERRORS = (
+    DemonstrationError,
+    ImportError,
+    OSError,
+    RenderingUnavailableError,
+    TaskFailedError,
+    ValueError,
+)
+VIDEO_MODULES = ("imageio", "imageio_ffmpeg", "PIL")
+RESULTS_MODULES = ("matplotlib", "pandas", "rliable")
 RunDir = Annotated[Path, typer.Argument(help="A run directory.")]
 Overrides = Annotated[list[str] | None, typer.Argument(help="key=value on top of its config.")]
+TaskName = Annotated[str | None, typer.Option("--task", help=f"Instead of RUN's: {FORMS}.")]
+Episodes = Annotated[int | None, typer.Option(help="The first so many of the list.")]
+Starts = Annotated[str | None, typer.Option(help="Episodes of the list by number: 3,17.")]
+Worst = Annotated[int | None, typer.Option(help="So many that went worst in make eval.")]
+Camera = Annotated[str | None, typer.Option(help="Its name; default: the task's own view.")]
 
 
 @app.command("eval")
 def evaluate(
     run: RunDir,
     overrides: Overrides = None,
-    episodes: Annotated[int | None, typer.Option(help="Doors; default: the run's own.")] = None,
+    task: TaskName = None,
+    episodes: Annotated[int | None, typer.Option(help="Default: the run's own.")] = None,
+    demos: Annotated[str | None, typer.Option(help="Also say how alike to these it moves.")] = None,
+    strategies: Annotated[
+        bool | None, typer.Option(help="How it goes about it; default: where the task can tell.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="JSON; default: RUN/evaluation.json")] = None,
 ) -> None:
-    """Evaluate the newest checkpoint of RUN: the columns of Tables I and II."""
-    result = evaluate_run(run, overrides or [], episodes)
+    """Evaluate the newest checkpoint of RUN; episodes.csv beside it has a row per episode."""
+    changes = [*task_override(task), *(overrides or [])]
+    result = run_evaluation(run, changes, episodes, demos, strategies)
     path = out if out is not None else run / EVALUATION
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, json.dumps(result, indent=2) + "\n")
-    typer.echo(tabulate(_scalars(result).items(), floatfmt=".4g"))
+    result.write(path)
+    typer.echo(tabulate(_scalars(result.metrics).items(), floatfmt=".4g"))
     typer.echo(f"written to {path}")
+
+
+@app.command("robust")
+def robust(
+    run: RunDir,
+    overrides: Overrides = None,
+    task: TaskName = None,
+    episodes: Annotated[int, typer.Option(help="Of each setting.")] = EPISODES_A_SETTING,
+    bar: Annotated[float, typer.Option(help="Success below which a setting breaks it.")] = BAR,
+    only: Annotated[str, typer.Option(help="Kinds, comma-separated: delay,mass")] = "",
+    out: Annotated[Path | None, typer.Option(help="Folder; default: RUN")] = None,
+) -> None:
+    """Play RUN's policy under noise, delays and other models, and say what breaks it first."""
+    require_extras(["matplotlib"], "make robust")
+    from pipeline.results.robustness_figure import plot_robustness  # noqa: PLC0415 - as below
+
+    folder = run if out is None else out
+    folder.mkdir(parents=True, exist_ok=True)
+    found = robustness(
+        run,
+        [*task_override(task), *(overrides or [])],
+        episodes=episodes,
+        bar=bar,
+        kinds=[kind for kind in only.split(",") if kind],
+        told=typer.echo,
+    )
+    plot_robustness(found, folder / FIGURE)
+    found.write(folder)
+    typer.echo(found.markdown())
+    typer.echo(f"written to {folder / ROBUSTNESS}")
 
 
 @app.command("table")
@@ -43,8 +108,9 @@ def table(
     runs: Annotated[list[Path], typer.Argument(help="Evaluated runs or evaluation JSON files.")],
     out: Annotated[Path | None, typer.Option(help="Also write the Markdown here.")] = None,
 ) -> None:
-    """Tables I and II of several evaluated runs beside the paper's numbers."""
-    text = render([load_evaluation(run) for run in runs])
+    """Several evaluated runs of one task beside its published rows (the door: Tables I and II)."""
+    evaluations = [load_evaluation(run) for run in runs]
+    text = render(evaluations, reference_of(evaluations))
     if out is not None:
         write_atomically(out, text + "\n")
     typer.echo(text)
@@ -57,6 +123,7 @@ def results(
     policies: Annotated[bool, typer.Option(help="Export a policy per row.")] = True,
 ) -> None:
     """Publish evaluated runs: tables over seeds, curves, diagnostics and a policy per row."""
+    require_extras(RESULTS_MODULES, "make results")
     from pipeline.results.publish import publish  # noqa: PLC0415 - needs the extra `results`
 
     out.mkdir(parents=True, exist_ok=True)
@@ -67,66 +134,166 @@ def results(
 
 @app.command("plot")
 def plot(
-    run: RunDir,
-    out: Annotated[Path | None, typer.Option(help="PNG; default: RUN/diagnostics.png")] = None,
+    run: Annotated[Path, typer.Argument(help="A run, a published seedN.json, or a row of them.")],
+    out: Annotated[Path | None, typer.Option(help="PNG; default: diagnostics.png there")] = None,
 ) -> None:
-    """Plot what RUN's learning curve holds: stages, gradients, values, entropy, imitation error."""
+    """Plot what learning curves hold: stages, gradients, values, entropy, imitation error."""
+    require_extras(RESULTS_MODULES, "make plot")
     from pipeline.results.plots import plot_diagnostics  # noqa: PLC0415 - as above
-    from pipeline.results.rows import read_lines  # noqa: PLC0415
 
-    path = out if out is not None else run / "diagnostics.png"
-    plot_diagnostics(run.name, [read_lines(run / LEARNING_CURVE)], path)
+    beside = run if run.is_dir() else run.parent
+    path = out if out is not None else beside / "diagnostics.png"
+    plot_diagnostics(run.name, [found.curve for found in read_runs([run])], path)
     typer.echo(f"written to {path}")
+
+
+@app.command("report")
+def report(
+    runs: Annotated[list[Path], typer.Argument(help="Runs, evaluations, or folders of them.")],
+    out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("runs/report"),
+    only: Annotated[str, typer.Option(help="Sections, comma-separated: strategies")] = "",
+) -> None:
+    """Write one page (and Markdown) about runs: results, curves, maps, failures, provenance."""
+    require_extras(("plotly", "jinja2"), "make report")
+    from pipeline.report.build import MARKDOWN, PAGE, write_report  # noqa: PLC0415 - as above
+
+    written = write_report(runs, out, [key for key in only.split(",") if key])
+    typer.echo(written.summary)
+    typer.echo(f"written to {out / PAGE} and {out / MARKDOWN}")
 
 
 @app.command("demos-check")
 def demos_check(
     source: Annotated[str, typer.Argument(help="bundled | path | minari:ID")] = "bundled",
-    resimulate: Annotated[bool, typer.Option(help="Replay in our simulator.")] = True,
+    task: Annotated[str, typer.Option(help=f"What they are of: {FORMS}.")] = "door",
+    resimulate: Annotated[
+        bool | None, typer.Option(help="Replay in the task; default: where it can.")
+    ] = None,
 ) -> None:
-    """Validate a demonstration source and tabulate its episodes."""
-    loaded = load_demonstrations(source, resimulate=resimulate)
-    typer.echo(format_reports(loaded.reports))
+    """Validate a demonstration source: episodes, starts, findings. Fails if none is usable."""
+    check = check_demonstrations(source, find_task(task), resimulate)
+    typer.echo(check.text)
+    if not check.usable:
+        raise typer.Exit(1)
 
 
 @app.command("record")
 def record(
-    run: RunDir,
+    run: Annotated[str, typer.Argument(help="A run directory; '' with --policy.")] = "",
+    overrides: Overrides = None,
+    task: TaskName = None,
+    policy: Annotated[
+        str | None, typer.Option(help="path.py:function(observation [N, O]) -> action [N, A].")
+    ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="HDF5 file; default: RUN/demonstrations.h5")
+        str | None, typer.Option(help="FILE.h5 (a recording), FILE.hdf5 (D4RL) or minari:ID")
     ] = None,
     episodes: Annotated[int, typer.Option(help="Successful episodes to keep.")] = 25,
-    attempts: Annotated[int, typer.Option(help="Doors to try at most.")] = 1000,
-    seed: Annotated[int, typer.Option(help="Of the list of doors.")] = 0,
+    attempts: Annotated[int, typer.Option(help="Episodes to try at most.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Of the list of episodes.")] = 0,
 ) -> None:
-    """Record a demonstration set from RUN's policy, filtered by success (the paper's ILD)."""
-    path = out if out is not None else run / "demonstrations.h5"
-    card = record_demonstrations(run, path, episodes=episodes, attempts=attempts, seed=seed)
-    typer.echo(json.dumps(card, indent=2))
+    """Record a demonstration set, filtered by success, from RUN's policy or a controller."""
+    if bool(run) == (policy is not None):
+        given = f"RUN={run} and POLICY={policy}" if run else "neither"
+        raise ValueError(
+            "make record takes RUN=dir (its policy acts) or POLICY=path.py:function with TASK=, "
+            f"got {given}"
+        )
+    path = out if out is not None else str(Path(run) / "demonstrations.h5")
+    if out is None and Path(path).exists():
+        raise ValueError(f"{path} exists: say OUT={path} to replace it, or name another")
+    changes = [*task_override(task), *(overrides or [])]
+    acting = (
+        Acting.of_run(Path(run), changes)
+        if policy is None
+        else Acting.of_controller(policy, changes)
+    )
+    card = record_demonstrations(acting, path, episodes=episodes, attempts=attempts, seed=seed)
+    typer.echo(as_json(card, indent=2))
     typer.echo(f"written to {path}")
 
 
 @app.command("video")
 def video(
     run: RunDir,
-    out: Annotated[Path | None, typer.Option(help="MP4 file; default: RUN/video.mp4")] = None,
-    episodes: Annotated[int, typer.Option(help="Doors to film, one after the other.")] = 3,
+    overrides: Overrides = None,
+    task: TaskName = None,
+    out: Annotated[Path | None, typer.Option(help="MP4 or GIF; default: RUN/video.mp4")] = None,
+    episodes: Episodes = None,
+    starts: Starts = None,
+    worst: Worst = None,
+    with_: Annotated[
+        str | None,
+        typer.Option("--with", help="Beside it: another run, demos (the run's), or a source."),
+    ] = None,
+    camera: Camera = None,
+    size: Annotated[int, typer.Option(help="Width and height of a picture, px.")] = 480,
 ) -> None:
-    """Film RUN's policy."""
+    """Film RUN's policy in chosen episodes, alone or beside another or a demonstration."""
+    require_extras(VIDEO_MODULES, "make video")
+    from pipeline.commands.film import film  # noqa: PLC0415 - needs the extra `video`
+
     path = out if out is not None else run / "video.mp4"
-    film(run, path, episodes)
-    typer.echo(f"written to {path}")
+    changes = [*task_override(task), *(overrides or [])]
+    choice = Choice.parse(episodes, starts, worst)
+    picture = Picture(size, size, camera)
+    filmed = film(run, path, choice, changes, with_=with_, picture=picture)
+    typer.echo(f"episodes {', '.join(map(str, filmed.numbers))}; written to {path}")
 
 
-def _scalars(result: dict[str, Any]) -> dict[str, Any]:
-    return {k: v for k, v in result.items() if v is None or isinstance(v, (int, float, str))}
+@app.command("strip")
+def strip(
+    runs: Annotated[list[Path], typer.Argument(help="Run directories of one task.")],
+    task: TaskName = None,
+    out: Annotated[Path, typer.Option(help="PNG file.")] = Path("runs/strip.png"),
+    with_: Annotated[
+        str | None, typer.Option("--with", help="First row: demos (the run's), or a source.")
+    ] = None,
+    episode: Annotated[int, typer.Option(help="Number in the task's list.")] = 0,
+    columns: Annotated[int, typer.Option(help="Pictures in a row.")] = 6,
+    until: Annotated[int | None, typer.Option(help="Control step of the last one.")] = None,
+    camera: Camera = None,
+    size: Annotated[int, typer.Option(help="Width and height of a picture, px.")] = 180,
+) -> None:
+    """Write one picture with a row of moments for each policy."""
+    require_extras(VIDEO_MODULES, "make strip")
+    from pipeline.commands.strip import Layout  # noqa: PLC0415 - as above
+    from pipeline.commands.strip import strip as make_strip  # noqa: PLC0415
+
+    layout = Layout(episode, columns, until, size, camera)
+    written = make_strip(runs, out, layout, task_override(task), with_=with_)
+    typer.echo(f"written to {out} ({written / 1000:.0f} kB)")
+
+
+@app.command("play")
+def play(
+    run: RunDir,
+    overrides: Overrides = None,
+    task: TaskName = None,
+    episodes: Episodes = None,
+    starts: Starts = None,
+    worst: Worst = None,
+) -> None:
+    """Watch RUN's policy in a window, until it is closed."""
+    given = any(value is not None for value in (episodes, starts, worst))
+    choice = Choice.parse(episodes, starts, worst) if given else None
+    shown = play_episodes(run, choice, [*task_override(task), *(overrides or [])])
+    typer.echo(f"{shown} episodes")
+
+
+def _scalars(result: Mapping[str, Any]) -> dict[str, Any]:
+    flat = {**result} | {f"stage: {label}": share for label, share in result["stages"].items()}
+    return {k: v for k, v in flat.items() if v is None or isinstance(v, (int, float, str))}
 
 
 def main() -> None:
-    """Runs the command line; user errors become one line and exit code 1."""
+    """Runs the command line; user errors become one line and exit code 1 (3: not finite)."""
     try:
         app()
-    except (DemonstrationError, RunDirectoryError, ValueError, OSError, ImportError) as error:
+    except NonFiniteError as error:
+        typer.echo(f"error: {error}", err=True)
+        sys.exit(EXIT_CODE)
+    except USER_ERRORS as error:
         sys.exit(f"error: {error}")
 
 

@@ -4,84 +4,103 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
+import shutil
 from pathlib import Path
 
 from filelock import FileLock
-from omegaconf import OmegaConf
 from torchrl.modules import ProbabilisticActor
 
-from configs.schema import Config
+from envs import Task
 from pipeline import components
-from pipeline.buffers import DemonstrationDistribution, make_core_buffer
-from pipeline.checkpoint import (
-    latest_checkpoint,
+from pipeline.act.shaped import core_of, shaped
+from pipeline.compute import hidden_dtype, replays_updates
+from pipeline.data.buffers import DemonstrationDistribution, make_core_buffer
+from pipeline.data.demonstrations import Demonstrations
+from pipeline.data.mixture import DRAWS, Mixture
+from pipeline.files.checkpoint import (
     load_component,
     load_trainer,
     make_checkpoint,
-    make_rotation,
+    trained_frames,
 )
-from pipeline.components import Demonstrations
-from pipeline.compute import hidden_dtype, replays_updates
-from pipeline.imitation import ImitationStepper
-from pipeline.mixture import DRAWS, Mixture
+from pipeline.files.curves import cut_back
+from pipeline.files.run_format import latest_of
+from pipeline.files.simulator_steps import StepsBeside
+from pipeline.files.sums import DamagedError
+from pipeline.files.time_use import TimeUse
+from pipeline.hooks import UpdatesHook
+from pipeline.learn.imitation import ImitationStepper
+from pipeline.machine.interruption import StopRequest
+from pipeline.machine.random_state import kept_random_state
 from pipeline.offline import OfflineStream
-from pipeline.random_state import kept_random_state
+from pipeline.recipe import Recipe
 from pipeline.run_dir import create_run_dir
-from pipeline.time_use import TimeUse
+from pipeline.settings import plain
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer, seed_everything
+from pipeline.updates import CLONING_PORTION, actor_updates
 
-UPDATES_PER_BATCH = 100
-"""Updates between two looks of the trainer at its hooks."""
+_logger = logging.getLogger(__name__)
 
 
 def build_offline(
-    config: Config, run_dir: Path, demos: Demonstrations | None, time_use: TimeUse
+    recipe: Recipe, task: Task, run_dir: Path, demos: Demonstrations | None, time_use: TimeUse
 ) -> Run:
     """Behaviour cloning (paper, section III-B): updates on D alone."""
     if demos is None:
         raise ValueError("offline=true trains on demonstrations alone: set demos.source.")
-    env = components.make_training_env(config)
-    normalizer = components.make_normalizer(config.actor, demos)
-    dtype = hidden_dtype(config)
-    actor = components.make_policy(config.actor, env, normalizer, config.device, dtype)
-    critic = components.make_critic(config.critic, env, None, config.device)
-    updates = components.actor_updates(config)
-    loss = components.make_loss(config.loss, actor, critic, env.action_spec.shape[-1], updates)
+    env = components.make_training_env(recipe, task)
+    normalizer = components.make_normalizer(recipe.actor, demos)
+    dtype = hidden_dtype(recipe)
+    actor = components.make_policy(recipe.actor, env, normalizer, recipe.device, dtype)
+    chunk = recipe.actor.chunk
+    critic = components.make_critic(recipe.critic, env, None, recipe.device, chunk=chunk)
+    updates = actor_updates(recipe)
+    actions = chunk * env.action_spec.shape[-1]
+    loss = components.make_loss(recipe.loss, actor, critic, actions, updates)
+    policy = shaped(actor, chunk)
     env.close()
-    core = DemonstrationDistribution(make_core_buffer(demos.rows, config.device))
+    core = DemonstrationDistribution(make_core_buffer(demos.rows, recipe.device))
     mixture = Mixture(
         None,
         core,
         main_rows=0,
-        demo_rows=config.bc.batch_size,
+        demo_rows=recipe.bc.batch_size,
         draws=DRAWS,
-        device=config.device,
+        device=recipe.device,
     )
-    collector = OfflineStream(UPDATES_PER_BATCH)
+    collector = OfflineStream(CLONING_PORTION)
+    stop = StopRequest()
     trainer = make_trainer(
-        config,
+        recipe,
         run_dir,
-        make_checkpoint(actor, collector),
+        stop,
+        make_checkpoint(policy, collector),
         time_use,
         collector=collector,
-        total_frames=config.bc.updates,
-        optim_steps_per_batch=UPDATES_PER_BATCH,
+        total_frames=recipe.bc.updates,
+        optim_steps_per_batch=CLONING_PORTION,
         loss_module=loss,
         optimization_stepper=ImitationStepper(
             loss,
-            actor_lr=config.bc.lr,
-            anneal_updates=updates if config.bc.anneal else None,
-            cuda_graphs=replays_updates(config),
-            compile_updates=bool(config.compile_updates),
+            actor_lr=recipe.bc.lr,
+            anneal_updates=updates if recipe.bc.anneal else None,
+            cuda_graphs=replays_updates(recipe),
+            compile_updates=bool(recipe.compile_updates),
         ),
     )
-    trainer.register_op("process_optim_batch", time_use.timed(mixture, "sample"))
-    make_evaluation_hook(config, actor, run_dir, time_use).register(trainer)
-    return Run(config, run_dir, trainer, actor, time_use)
+    optimisation = UpdatesHook(mixture, time_use.timed(mixture, "sample"), stop)
+    optimisation.register(trainer)
+    beside = StepsBeside(demos.simulator_steps)
+    beside.write(run_dir)
+    taken = {"simulator_steps": beside.total}
+    evaluation = make_evaluation_hook(recipe, task, stop, policy, run_dir, time_use, lambda: taken)
+    evaluation.register(trainer)
+    return Run(recipe, run_dir, trainer, policy, time_use, evaluation, optimisation, stop)
 
 
 def behaviour_cloned(
-    config: Config, demos: Demonstrations | None, time_use: TimeUse | None = None
+    recipe: Recipe, task: Task, demos: Demonstrations | None, time_use: TimeUse | None = None
 ) -> ProbabilisticActor:
     """The BC model of this configuration: trained once by the offline pipeline, then cached.
 
@@ -94,42 +113,58 @@ def behaviour_cloned(
     """
     if demos is None:
         raise ValueError("A BC model needs demonstrations: set demos.source.")
-    bc_config: Config = OmegaConf.merge(  # type: ignore[assignment]  # typed loosely by OmegaConf
-        config,
-        {
-            "offline": True,
-            "pretrain": False,
-            "growth": {"self_imitation": False, "bc_model": False},
-            "critic": {"hidden": [8], "num_critics": 1},  # not trained offline
-        },
+    bc_recipe = recipe.changed(
+        offline=True,
+        pretrain=False,
+        growth={"self_imitation": False, "bc_model": False},
+        curriculum={"reverse": False},
+        proposal={"acting": False, "bootstrap": False},
+        critic={"hidden": [8], "num_critics": 1},  # not trained offline
+        loss={"target_entropy": None},  # nor is the temperature
     )
     identity = [
         demos.content_hash,
-        config.demos.held_out,
-        config.env.name,
-        config.seed,
-        config.device,
+        recipe.demos.held_out,
+        recipe.task.name,
+        recipe.seed,
+        recipe.device,
+        plain(recipe.actor),
+        plain(recipe.bc),
+        recipe.loss.imitation,
+        recipe.loss.action_margin,
+        recipe.precision,
+        recipe.compile_updates,
+        recipe.onednn,
     ]
-    identity += [OmegaConf.to_container(part) for part in (config.actor, config.bc)]
-    identity += [config.loss.imitation, config.loss.action_margin, config.precision]
-    identity += [config.compile_updates, config.onednn]
     digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:16]
-    run_dir = Path(config.cache_dir) / f"bc-{digest}"
-    complete = run_dir / "complete"
-    bc_config.run_dir = str(run_dir)
+    run_dir = Path(recipe.cache_dir) / f"bc-{digest}"
     run_dir.parent.mkdir(parents=True, exist_ok=True)
     # Runs that start together (a sweep over variants) want the same model: one trains it.
-    with kept_random_state(config.device), FileLock(f"{run_dir}.lock"):
+    with kept_random_state(recipe.device), FileLock(f"{run_dir}.lock"):
         if not run_dir.exists():
-            create_run_dir(run_dir, bc_config)
-        seed_everything(config.seed)
-        run = build_offline(bc_config, run_dir, demos, time_use or TimeUse())
-        if complete.exists():
-            load_component(latest_checkpoint(run_dir), "policy", run.actor)
+            create_run_dir(run_dir, bc_recipe)
+        checkpoint = _checkpoint_of(run_dir, bc_recipe)
+        seed_everything(recipe.seed)
+        run = build_offline(bc_recipe, task, run_dir, demos, time_use or TimeUse())
+        # One that stands in for a damaged newest one is not yet trained to the end.
+        if checkpoint is not None and trained_frames(checkpoint) >= bc_recipe.bc.updates:
+            load_component(checkpoint, "policy", run.actor)
         else:
-            checkpoint = make_rotation(run_dir).latest()
             if checkpoint is not None:
                 load_trainer(checkpoint, run.trainer)
+            cut_back(run_dir, run.trainer.collected_frames if checkpoint is not None else -1)
             run.train()
-            complete.touch()
-    return run.actor
+    actor = core_of(run.actor)
+    assert isinstance(actor, ProbabilisticActor)
+    return actor
+
+
+def _checkpoint_of(run_dir: Path, recipe: Recipe) -> Path | None:
+    """The newest whole checkpoint of a cached model; where all are damaged, a new directory."""
+    try:
+        return latest_of(run_dir)
+    except DamagedError as error:
+        _logger.warning("the cached model is damaged and made again: %s", error)
+        shutil.rmtree(run_dir)
+        create_run_dir(run_dir, recipe)
+        return None

@@ -9,15 +9,14 @@ import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
 from functools import partial
-from typing import Any
 
 import psutil
 import torch
-from omegaconf import OmegaConf
 
-from configs.schema import Config
-from pipeline.compilation import why_not_compiled
-from pipeline.products import onednn_products, onednn_wins
+from pipeline.machine.compilation import why_not_compiled
+from pipeline.machine.products import onednn_products, onednn_wins
+from pipeline.recipe import Recipe
+from pipeline.updates import critic_updates
 
 PRECISIONS = {"fp32": None, "bf16": torch.bfloat16}
 """What the hidden layers compute in; ``None`` is the parameters' own float32."""
@@ -37,8 +36,8 @@ Clock = Callable[[int, torch.dtype], float]
 """Seconds that the products of an update take with so many threads in this precision."""
 
 
-def resolve_compute(config: Config, clock: Clock | None = None) -> Config:
-    """A copy of ``config`` in which threads and precision are decided.
+def resolve_compute(recipe: Recipe, clock: Clock | None = None) -> Recipe:
+    """A copy of ``recipe`` in which threads and precision are decided.
 
     ``torch_threads: null`` becomes the smallest count that is not clearly slower than a larger one,
     among the cores that other work leaves free; ``precision: auto`` becomes bf16 where the machine
@@ -48,61 +47,67 @@ def resolve_compute(config: Config, clock: Clock | None = None) -> Config:
     run: a resumed run, and one that repeats it elsewhere, computes as it did.
 
     Args:
-        config: A run's configuration.
+        recipe: A run's configuration.
         clock: Measures the machine; for tests.
 
     Raises:
-        ValueError: If a value is not one of those that exist, or not possible here.
+        ValueError: If a value is not possible here, ``device`` if it is measured.
     """
-    if config.precision not in (*PRECISIONS, "auto"):
-        raise ValueError(
-            f"precision must be auto or one of {', '.join(PRECISIONS)}, got {config.precision!r}."
-        )
-    if config.torch_threads is not None and config.torch_threads < 1:
-        raise ValueError(f"torch_threads must be at least 1, got {config.torch_threads}.")
     if clock is None:
-        clock = _products(config)
-    threads, precision = config.torch_threads, config.precision
+        require_device(recipe.device)
+        clock = _products(recipe)
+    threads, precision = recipe.torch_threads, recipe.precision
     if threads is None:
-        threads = _fastest_threads(clock) if config.device == "cpu" else _free_cores()
-    many = config.device == "cpu" and _updates(config) >= MANY_UPDATES
-    onednn = config.onednn
+        threads = _fastest_threads(clock) if recipe.device == "cpu" else _free_cores()
+    many = recipe.device == "cpu" and critic_updates(recipe) >= MANY_UPDATES
+    onednn = recipe.onednn
     if onednn is None:
         onednn = many and onednn_wins(partial(clock, threads, torch.float32))
     if precision == "auto":
         with onednn_products() if onednn else nullcontext():
             share = clock(threads, torch.bfloat16) / clock(threads, torch.float32)
         precision = "bf16" if share < WORTH_ROUNDING else "fp32"
-    decided: Any = OmegaConf.merge(
-        config,
-        {
-            "torch_threads": threads,
-            "precision": precision,
-            "onednn": onednn,
-            "compile_updates": _compiles_updates(config.compile_updates, many),
-        },
+    return recipe.changed(
+        torch_threads=threads,
+        precision=precision,
+        onednn=onednn,
+        compile_updates=_compiles_updates(recipe.compile_updates, many),
     )
-    return decided
 
 
-def hidden_dtype(config: Config) -> torch.dtype | None:
+def require_device(device: str) -> None:
+    """Looks for ``device`` before minutes of work.
+
+    Raises:
+        ValueError: If it is unknown or not there.
+    """
+    try:
+        torch.empty(1, device=device).cpu()
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        why = str(error).strip().splitlines()[0]
+        raise ValueError(
+            f"device={device} cannot be used ({why}): set device=cpu, or one that torch finds here."
+        ) from error
+
+
+def hidden_dtype(recipe: Recipe) -> torch.dtype | None:
     """The precision of the hidden layers of a decided configuration."""
-    return PRECISIONS[config.precision]
+    return PRECISIONS[recipe.precision]
 
 
-def replays_updates(config: Config) -> bool:
+def replays_updates(recipe: Recipe) -> bool:
     """Whether the run's updates are CUDA graphs: on such a device, unless it is told not to.
 
     Raises:
         ValueError: If it is told to on another device.
     """
-    on_cuda = torch.device(config.device).type == "cuda"
-    if config.cuda_graphs and not on_cuda:
+    on_cuda = torch.device(recipe.device).type == "cuda"
+    if recipe.cuda_graphs and not on_cuda:
         raise ValueError(
-            f"cuda_graphs=true needs a CUDA device, and device is {config.device}: "
+            f"cuda_graphs=true needs a CUDA device, and device is {recipe.device}: "
             "set device=cuda, or leave cuda_graphs=null."
         )
-    return on_cuda if config.cuda_graphs is None else config.cuda_graphs
+    return on_cuda if recipe.cuda_graphs is None else recipe.cuda_graphs
 
 
 def _compiles_updates(wanted: bool | None, many: bool) -> bool:
@@ -122,12 +127,6 @@ def _compiles_updates(wanted: bool | None, many: bool) -> bool:
         stacklevel=2,
     )
     return False
-
-
-def _updates(config: Config) -> int:
-    if config.offline:
-        return config.bc.updates
-    return round(config.optim.updates_per_frame * config.collector.total_frames)
 
 
 def _fastest_threads(clock: Clock) -> int:
@@ -154,18 +153,18 @@ def _free_cores() -> int:
     return max(1, min(free, int(allowed)) if allowed.isdigit() else free)
 
 
-def _products(config: Config) -> Clock:
+def _products(recipe: Recipe) -> Clock:
     """Times the matrix products of a critic's hidden layer at this run's sizes."""
-    width = max(config.critic.hidden)
-    rows = round(config.sampler.batch_size * (1 + config.sampler.demo_ratio))
-    shape = (config.critic.num_critics, rows, width)
+    width = max(recipe.critic.hidden)
+    rows = round(recipe.sampler.batch_size * (1 + recipe.sampler.demo_ratio))
+    shape = (recipe.critic.num_critics, rows, width)
 
     def measure(threads: int, dtype: torch.dtype) -> float:
         before = torch.get_num_threads()
         torch.set_num_threads(threads)
         try:
-            x = torch.ones(shape, dtype=dtype, device=config.device)
-            weight = torch.ones(shape[0], width, width, dtype=dtype, device=config.device)
+            x = torch.ones(shape, dtype=dtype, device=recipe.device)
+            weight = torch.ones(shape[0], width, width, dtype=dtype, device=recipe.device)
             times = []
             for _ in range(REPEATS):
                 began = time.perf_counter()

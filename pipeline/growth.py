@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from torchrl.trainers import Trainer
 
-from configs.schema import Config
-from pipeline.buffers import DemonstrationDistribution, GrownDemonstrations, make_core_buffer
+from envs import Task
+from pipeline.act.rollouts import admit_rollouts
+from pipeline.act.shaped import shaped
 from pipeline.cloning import behaviour_cloned
-from pipeline.components import Demonstrations
-from pipeline.harvest import AdmissionRule, Harvest, MovingBound
+from pipeline.data.buffers import DemonstrationDistribution, GrownDemonstrations, make_core_buffer
+from pipeline.data.demonstrations import Demonstrations
+from pipeline.data.harvest import AdmissionRule, Harvest, MovingBound
+from pipeline.data.rows import TransitionRows
+from pipeline.files.time_use import TimeUse
 from pipeline.hooks import GrownHook
-from pipeline.rollouts import admit_rollouts
-from pipeline.rows import TransitionRows
-from pipeline.time_use import TimeUse
+from pipeline.recipe import Recipe
 
 
-def require_growth(config: Config) -> None:
+def require_growth(recipe: Recipe) -> None:
     """Refuses options that nothing would read."""
-    growth = config.growth
+    growth = recipe.growth
     if growth.admission.quantile is not None and not growth.self_imitation:
         raise ValueError(
             "growth.admission.quantile judges training episodes, which join the demonstrations "
@@ -31,7 +33,8 @@ def require_growth(config: Config) -> None:
 
 
 def demonstration_distribution(
-    config: Config,
+    recipe: Recipe,
+    task: Task,
     demos: Demonstrations | None,
     to_rows: TransitionRows,
     time_use: TimeUse,
@@ -42,28 +45,28 @@ def demonstration_distribution(
     """
     if demos is None:
         return None, None
-    core = make_core_buffer(demos.rows, config.device)
-    growth = config.growth
+    core = make_core_buffer(demos.rows, recipe.device)
+    growth = recipe.growth
     if not growth.self_imitation and not growth.bc_model:
         return None, DemonstrationDistribution(core)
-    grown = GrownDemonstrations(growth.capacity, config.device)
+    grown = GrownDemonstrations(growth.capacity, recipe.device)
     if growth.bc_model:
-        harvest = Harvest(grown, _admission(config), to_rows, source="bc_model")
+        harvest = Harvest(grown, admission_rule(recipe), to_rows, source="bc_model")
         admit_rollouts(
-            behaviour_cloned(config, demos, time_use),
+            shaped(behaviour_cloned(recipe, task, demos, time_use), recipe.actor.chunk),
             harvest,
-            env_name=config.env.name,
+            task=task,
             episodes=growth.bc_model_episodes,
-            seed=config.seed,
-            horizon=config.env.horizon,
-            num_threads=config.env.num_threads,
-            device=config.device,
+            seed=recipe.seed,
+            horizon=recipe.env.horizon,
+            num_threads=recipe.env.num_threads,
+            device=recipe.device,
         )
     return grown, DemonstrationDistribution(core, grown, growth.share)
 
 
 def register_growth(
-    config: Config,
+    recipe: Recipe,
     grown: GrownDemonstrations | None,
     to_rows: TransitionRows,
     trainer: Trainer,
@@ -74,19 +77,21 @@ def register_growth(
     """
     if grown is None:
         return []
-    bound = _moving_bound(config)
+    bound = _moving_bound(recipe)
     GrownHook(grown, bound).register(trainer)
-    if not config.growth.self_imitation:
+    if not recipe.growth.self_imitation:
         return []
-    return [Harvest(grown, _admission(config), to_rows, "policy", bound)]
+    return [Harvest(grown, admission_rule(recipe), to_rows, "policy", bound)]
 
 
-def _admission(config: Config) -> AdmissionRule:
-    return AdmissionRule(config.growth.admission.min_angle, config.growth.admission.min_return)
+def admission_rule(recipe: Recipe) -> AdmissionRule:
+    """Which episodes are good, as the configuration says."""
+    admission = recipe.growth.admission
+    return AdmissionRule(admission.success, admission.min_progress, admission.min_return)
 
 
-def _moving_bound(config: Config) -> MovingBound | None:
-    admission = config.growth.admission
+def _moving_bound(recipe: Recipe) -> MovingBound | None:
+    admission = recipe.growth.admission
     if admission.quantile is None:
         return None
     return MovingBound(admission.quantile, admission.window)

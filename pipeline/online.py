@@ -1,185 +1,182 @@
-"""Reinforcement learning with demonstrations: buffers, stepper, collector and hooks together."""
+"""Reinforcement learning with demonstrations: learner, sources, collector and hooks together."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from torch import nn
+from torchrl.envs import EnvBase
+from torchrl.trainers import Trainer
 
-from configs.schema import Config
+from envs import Task
+from envs.steps import counted_steps
+from envs.task import SUCCESS, has_column
 from pipeline import components
-from pipeline.buffers import make_buffer
-from pipeline.checkpoint import CollectorState, make_checkpoint, resumes_midway
-from pipeline.cloning import behaviour_cloned
-from pipeline.components import Demonstrations
-from pipeline.compute import hidden_dtype, replays_updates
-from pipeline.diagnostics import DemonstrationProbe, TrainingState
-from pipeline.exploration import PartlyGreedyPolicy
-from pipeline.growth import demonstration_distribution, register_growth, require_growth
+from pipeline.act.begun import BEGUN_AT, BegunEnv
+from pipeline.data.curriculum import CurriculumEpisodes, ReverseCurriculum
+from pipeline.data.demonstrations import Demonstrations
+from pipeline.data.mixture import Mixture
+from pipeline.files.checkpoint import CollectorState, make_checkpoint, resumes_midway
+from pipeline.files.simulator_steps import StepsBeside
+from pipeline.files.time_use import TimeUse
+from pipeline.growth import register_growth, require_growth
 from pipeline.hooks import (
-    ActorAverageHook,
     BacktrackHook,
     DemoUpdateHook,
     EpisodeHook,
     StoreHook,
+    UpdatesHook,
 )
-from pipeline.mixture import DRAWS, Mixture
-from pipeline.stepper import BCSACStepper, StepRhythm, log_metrics
-from pipeline.threads import OneThreadCollector
-from pipeline.time_use import TimeUse
+from pipeline.judgement import judge_clone
+from pipeline.learner import Learner, make_learner
+from pipeline.machine.interruption import StopRequest
+from pipeline.machine.threads import OneThreadCollector
+from pipeline.recipe import Recipe
+from pipeline.sources import Sources, make_sources
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer
+from pipeline.updates import updates_per_portion
+from pipeline.watch.diagnostics import DemonstrationProbe, TrainingState
 
-ROW_LIMIT = 1_000_000
-"""The main buffer holds the whole run up to this many frames, or ``sampler.capacity``."""
+_logger = logging.getLogger(__name__)
+
+Figures = Callable[[], Mapping[str, float]]
 
 
 def build_online(
-    config: Config, run_dir: Path, demos: Demonstrations | None, time_use: TimeUse
+    recipe: Recipe, task: Task, run_dir: Path, demos: Demonstrations | None, time_use: TimeUse
 ) -> Run:
     """Reinforcement learning, with whatever help from D the configuration asks for."""
-    require_growth(config)
-    device, dtype = config.device, hidden_dtype(config)
-    env = components.make_training_env(config)
-    normalizer = components.make_normalizer(config.actor, demos)
-    actor = components.make_policy(config.actor, env, normalizer, device, dtype)
-    normalizer = components.make_normalizer(config.critic, demos)
-    critic = components.make_critic(config.critic, env, normalizer, device, dtype)
-    updates = components.actor_updates(config)
-    rows = config.sampler.batch_size
-    actions = env.action_spec.shape[-1]
-    loss = components.make_loss(
-        config.loss,
-        actor,
-        critic,
-        actions,
-        updates,
-        main_rows=rows or None,  # of no rows, the mixture says what is wrong
-        bc_emphasis=components.make_emphasis(config),
-    )
-    if config.pretrain:
-        actor.load_state_dict(behaviour_cloned(config, demos, time_use).state_dict())
-
-    to_rows = components.make_rows(config)
-    main = make_buffer(_capacity(config), device)
-    grown, distribution = demonstration_distribution(config, demos, to_rows, time_use)
-    mixture = Mixture(
-        main,
-        distribution,
-        main_rows=rows,
-        demo_rows=round(config.sampler.demo_ratio * rows),
-        draws=min(_updates_per_batch(config), DRAWS),
-        device=device,
-    )
-    stepper = BCSACStepper(
-        loss,
-        actor_lr=config.optim.actor_lr,
-        critic_lr=config.optim.critic_lr,
-        temperature_lr=config.optim.temperature_lr,
-        rhythm=StepRhythm(
-            actor_period=config.optim.actor_period,
-            target_period=config.optim.target_period,
-            actor_delay=config.optim.actor_delay,
-            diagnostics_period=config.optim.diagnostics_period,
-        ),
-        bc_gradient_ratio=config.loss.bc_gradient_ratio,
-        max_grad_norm=config.optim.max_grad_norm,
-        anneal_updates=updates if config.optim.anneal_actor else None,
-        cuda_graphs=replays_updates(config),
-        compile_updates=bool(config.compile_updates),
-    )
-    average = None
-    decay = components.average_decay(config)
-    if decay is not None:
-        average = ActorAverageHook(actor, decay)
-    policy = actor if average is None else average.average
-    greedy = config.collector.greedy_envs
-    collector = OneThreadCollector(
-        env,
-        PartlyGreedyPolicy(actor, greedy, config.env.num_envs) if greedy else actor,
-        frames_per_batch=config.collector.frames_per_batch,
-        total_frames=-1,  # the trainer counts, so that a resumed run can go on for longer
-        init_random_frames=config.collector.random_frames,
-        policy_device=device,
-        env_device=device,
-        storing_device=device,
-        track_traj_ids=False,
-        auto_register_policy_transforms=False,  # the policies here are memoryless
-    )
-    time_use.watch(env, "_step", "physics")
-    time_use.watch(collector, "rollout", "collect")
+    require_growth(recipe)
+    with counted_steps() as replayed:
+        env, curricula = _environment(recipe, task, demos)
+    learner = make_learner(recipe, task, env, demos, time_use)
+    sources = make_sources(recipe, task, demos, time_use)
+    demonstrated = 0 if demos is None else demos.simulator_steps
+    beside = StepsBeside(demonstrated + replayed.taken, sources.simulator_steps)
+    beside.write(run_dir)
+    policy = learner.policy()
+    collector = _collector(recipe, env, learner, time_use)
+    stop = StopRequest()
     trainer = make_trainer(
-        config,
+        recipe,
         run_dir,
+        stop,
         make_checkpoint(policy, CollectorState(collector)),
         time_use,
         collector=collector,
-        total_frames=config.collector.total_frames,
-        optim_steps_per_batch=_updates_per_batch(config),
-        loss_module=loss,
-        optimization_stepper=stepper,
+        total_frames=recipe.collector.total_frames,
+        optim_steps_per_batch=updates_per_portion(recipe),
+        loss_module=learner.loss,
+        optimization_stepper=learner.stepper,
     )
-    if average is not None:
-        average.register(trainer)
-    backtracking = _backtracking(config, [actor] if policy is actor else [actor, policy])
+    optimisation, figures = _register(
+        recipe, trainer, env, learner, sources, curricula, time_use, stop
+    )
+    figures.insert(0, lambda: {"simulator_steps": trainer.collected_frames + beside.total})
+    if demos is not None:
+        figures.append(DemonstrationProbe(learner.loss, demos.rows, demos.held_out))
+    evaluation = make_evaluation_hook(recipe, task, stop, policy, run_dir, time_use, *figures)
+    evaluation.register(trainer)
+    begin = partial(judge_clone, evaluation, recipe, demos) if recipe.pretrain else None
+    return Run(
+        recipe, run_dir, trainer, policy, time_use, evaluation, optimisation, stop, begin=begin
+    )
+
+
+def _environment(
+    recipe: Recipe, task: Task, demos: Demonstrations | None
+) -> tuple[EnvBase, list[ReverseCurriculum]]:
+    """The collector's environment, and the curriculum that begins its episodes, or none."""
+    env = components.make_training_env(recipe, task)
+    curriculum = components.make_curriculum(recipe, task, env, demos)
+    begin = None if curriculum is None else curriculum.begin
+    # An actor of chunks has to know when episodes begin.
+    if begin is not None or recipe.actor.chunk > 1:
+        env = BegunEnv(env, begin)
+    return env, [] if curriculum is None else [curriculum]
+
+
+def _collector(
+    recipe: Recipe, env: EnvBase, learner: Learner, time_use: TimeUse
+) -> OneThreadCollector:
+    """Plays ``env`` with the policy that explores."""
+    collector = OneThreadCollector(
+        env,
+        learner.explorer(),
+        frames_per_batch=recipe.collector.frames_per_batch,
+        total_frames=-1,  # the trainer counts, so that a resumed run can go on for longer
+        init_random_frames=recipe.collector.random_frames,
+        policy_device=recipe.device,
+        env_device=recipe.device,
+        storing_device=recipe.device,
+        track_traj_ids=False,
+        auto_register_policy_transforms=False,  # what a policy keeps in mind is in the carrier
+    )
+    time_use.watch(env, "_step", "physics")
+    time_use.watch(collector, "rollout", "collect")
+    return collector
+
+
+def _register(
+    recipe: Recipe,
+    trainer: Trainer,
+    env: EnvBase,
+    learner: Learner,
+    sources: Sources,
+    curricula: list[ReverseCurriculum],
+    time_use: TimeUse,
+    stop: StopRequest,
+) -> tuple[UpdatesHook, list[Figures]]:
+    """Has ``trainer`` do what happens around its updates, in the order that hooks are called in.
+
+    Returns:
+        The hook of the updates, and what every evaluation measures besides.
+    """
+    device, midway, stepper = recipe.device, resumes_midway(env), learner.stepper
+    if learner.average is not None:
+        learner.average.register(trainer)
+    backtracking = _backtracking(recipe, env, learner.actors)
     for hook in backtracking:
         hook.register(trainer)
-    harvests = register_growth(config, grown, to_rows, trainer)
-    episodes = EpisodeHook(
-        *harvests, *backtracking, resumes_midway=resumes_midway(env), device=device
-    )
+    for one in curricula:
+        one.register(trainer)
+    harvests = register_growth(recipe, sources.grown, sources.episode_rows, trainer)
+    begun = [CurriculumEpisodes(one, BEGUN_AT) for one in curricula]
+    episodes = EpisodeHook(*harvests, *backtracking, *begun, resumes_midway=midway, device=device)
     episodes.register(trainer)
-    store = StoreHook(main, to_rows)
+    store = StoreHook(sources.main, sources.to_rows, resumes_midway=midway, device=device)
     time_use.watch(store, "store", "store")
     store.register(trainer)
-    trainer.register_op("process_optim_batch", time_use.timed(mixture, "sample"))
-    trainer.register_op("post_optim_complete_log", log_metrics)
-    if config.sampler.demo_update_period:
-        demo_batches = Mixture(None, distribution, main_rows=0, demo_rows=rows, device=device)
-        DemoUpdateHook(stepper, demo_batches, config.sampler.demo_update_period).register(trainer)
-    diagnostics: list[Callable[[], Mapping[str, float]]] = [
+    mixture = sources.mixture
+    optimisation = UpdatesHook(mixture, time_use.timed(mixture, "sample"), stop)
+    optimisation.register(trainer)
+    trainer.register_op("post_optim_complete_log", stepper.log_metrics)
+    period, rows = recipe.sampler.demo_update_period, recipe.sampler.batch_size
+    if period:
+        drawn = Mixture(None, sources.demos, main_rows=0, demo_rows=rows, device=device)
+        DemoUpdateHook(stepper, drawn, period).register(trainer)
+    return optimisation, [
         TrainingState(stepper),
         episodes.averages,
         *[hook.counted for hook in backtracking],
+        *[one.progress for one in curricula],
     ]
-    if demos is not None:
-        diagnostics.append(DemonstrationProbe(loss, demos.rows, demos.held_out))
-    make_evaluation_hook(config, policy, run_dir, time_use, *diagnostics).register(trainer)
-    return Run(config, run_dir, trainer, policy, time_use)
 
 
-def _capacity(config: Config) -> int:
-    capacity = config.sampler.capacity
-    if capacity is None:
-        return min(config.collector.total_frames, ROW_LIMIT)
-    if capacity < config.collector.frames_per_batch:
-        raise ValueError(
-            f"sampler.capacity ({capacity}) must hold at least one collected batch: "
-            f"collector.frames_per_batch is {config.collector.frames_per_batch}."
-        )
-    return capacity
-
-
-def _backtracking(config: Config, modules: list[nn.Module]) -> list[BacktrackHook]:
+def _backtracking(recipe: Recipe, env: EnvBase, modules: list[nn.Module]) -> list[BacktrackHook]:
     """The hook over ``modules``, or none."""
-    backtrack = config.backtrack
+    backtrack = recipe.backtrack
     if backtrack.level is None:
         return []
-    if config.env.name != "door":
-        raise ValueError(
-            f"backtrack.level={backtrack.level} counts doors that open, and env.name is "
-            f"{config.env.name}: set backtrack.level=null."
-        )
+    if not has_column(env, SUCCESS):
+        _logger.warning(
+            "backtrack.level=%s counts episodes that succeed, and task %s tells no success: the "
+            "actor is never taken back (task.success can tell it)",
+            backtrack.level, recipe.task.name,
+        )  # fmt: skip
+        return []
     hook = BacktrackHook(modules, backtrack.level, window=backtrack.window, memory=backtrack.memory)
     return [hook]
-
-
-def _updates_per_batch(config: Config) -> int:
-    updates = config.optim.updates_per_frame * config.collector.frames_per_batch
-    if updates < 1 or abs(updates - round(updates)) > 1e-9:
-        raise ValueError(
-            f"optim.updates_per_frame ({config.optim.updates_per_frame}) times "
-            f"collector.frames_per_batch ({config.collector.frames_per_batch}) must be a whole "
-            f"number of at least 1, got {updates}."
-        )
-    return round(updates)

@@ -2,21 +2,38 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_model, save_model
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor
 
-from configs.schema import Config
+from envs import EnvOptions, Task
 from pipeline import components
-from pipeline.checkpoint import latest_checkpoint, load_component, trained_frames
+from pipeline.act.shaped import shaped
 from pipeline.compute import hidden_dtype
-from pipeline.networks import ObservationNormalizer
+from pipeline.files.checkpoint import (
+    latest_checkpoint,
+    load_component,
+    require_finite,
+    trained_frames,
+)
+from pipeline.files.run_format import require_plain
+from pipeline.files.sums import DamagedError, flush
+from pipeline.learn.networks import ActorSettings, CriticSettings, ObservationNormalizer
+from pipeline.recipe import Recipe
 
 WEIGHTS = "policy.safetensors"
 """Weights alone, where a policy was exported; a run directory holds checkpoints instead."""
+FRAMES = "frames"
+DIGEST = "sha256"
+_AGAIN = "export it again with: make results"
 
 
 @dataclass(frozen=True)
@@ -29,51 +46,98 @@ class PolicyOrigin:
     """Collected when they were saved."""
 
 
-def load_policy(config: Config, run_dir: Path) -> tuple[ProbabilisticActor, PolicyOrigin]:
+def load_policy(
+    recipe: Recipe, task: Task, run_dir: Path
+) -> tuple[TensorDictModuleBase, PolicyOrigin]:
     """The policy of the newest checkpoint of ``run_dir``, or of the weights exported to it.
 
     The demonstrations are not needed: normalisation statistics travel with the weights.
 
     Returns:
-        The actor in evaluation mode and where it came from.
+        The policy in evaluation mode and where it came from.
 
     Raises:
         FileNotFoundError: If there are neither.
         ValueError: If they are damaged or belong to another architecture.
     """
-    env = components.make_training_env(config)
-    observation_size = env.observation_spec["observation"].shape[-1]
-    normalizer = (
-        ObservationNormalizer.identity(observation_size)
-        if config.actor.normalise_observations
-        else None
-    )
-    actor = components.make_policy(
-        config.actor, env, normalizer, config.device, hidden_dtype(config)
-    )
-    env.close()
+    env = task.make_env(EnvOptions(horizon=recipe.env.horizon, device=recipe.device))
+    policy = _untrained(recipe, env)
+    env.close(raise_if_closed=False)  # some start their copies with the first reset
     weights = run_dir / WEIGHTS
-    if weights.is_file():
-        return actor.eval(), PolicyOrigin(WEIGHTS, _load_weights(actor, weights))
+    if weights.is_file() or weights.is_symlink():
+        require_plain(weights)
+        return policy.eval(), PolicyOrigin(WEIGHTS, _load_weights(policy, weights))
     checkpoint = latest_checkpoint(run_dir)
-    load_component(checkpoint, "policy", actor)
-    frames = 0 if config.offline else trained_frames(checkpoint)
-    return actor.eval(), PolicyOrigin(checkpoint.name, frames)
+    load_component(checkpoint, "policy", policy)
+    frames = 0 if recipe.offline else trained_frames(checkpoint)
+    return policy.eval(), PolicyOrigin(checkpoint.name, frames)
 
 
-def save_weights(actor: ProbabilisticActor, path: Path, *, frames: int) -> None:
+def _untrained(recipe: Recipe, env: EnvBase) -> TensorDictModuleBase:
+    """The policy that a run of ``recipe`` acts with, before anything was loaded into it."""
+    device, dtype = recipe.device, hidden_dtype(recipe)
+    observation_size = env.observation_spec["observation"].shape[-1]
+
+    def normalizer(part: ActorSettings | CriticSettings) -> ObservationNormalizer | None:
+        if not part.normalise_observations:
+            return None
+        return ObservationNormalizer.identity(observation_size)
+
+    def actor() -> ProbabilisticActor:
+        own = normalizer(recipe.actor)
+        return components.make_policy(recipe.actor, env, own, device, dtype)
+
+    if not recipe.proposal.acting:
+        return shaped(actor(), recipe.actor.chunk)
+    critic = components.make_critic(
+        recipe.critic, env, normalizer(recipe.critic), device, dtype, recipe.actor.chunk
+    )
+    proposal = recipe.proposal.of(actor())
+    return shaped(actor(), recipe.actor.chunk, proposal, critic)
+
+
+def save_weights(actor: TensorDictModuleBase, path: Path, *, frames: int) -> None:
     """Writes the weights as safetensors, which hold tensors and nothing that runs."""
-    save_model(actor, str(path), metadata={"frames": str(frames)})
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    metadata = {FRAMES: str(frames), DIGEST: _digest(actor, frames)}
+    try:
+        save_model(actor, str(temporary), metadata=metadata)
+        _with_usual_mode(temporary)
+        flush(temporary)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
-def _load_weights(actor: ProbabilisticActor, path: Path) -> int:
+def _with_usual_mode(path: Path) -> None:
+    """Other files follow the umask; what safetensors writes its owner alone can read."""
+    content = path.read_bytes()
+    path.unlink()
+    path.write_bytes(content)
+
+
+def _load_weights(actor: TensorDictModuleBase, path: Path) -> int:
     """Loads ``path`` into ``actor``; returns the frames that its file tells."""
     try:
         load_model(actor, str(path))
         with safe_open(str(path), framework="pt") as file:
-            return int(file.metadata()["frames"])
+            metadata = file.metadata()
+        frames = int(metadata[FRAMES])
     except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise ValueError(
-            f"{path} is damaged or does not fit the config.yaml beside it ({error}); export it "
-            "again with: make results"
+            f"{path} is damaged or does not fit the config.yaml beside it ({error}); {_AGAIN}"
         ) from error
+    require_finite(actor, path)
+    # Files of before have none.
+    if metadata.get(DIGEST, digest := _digest(actor, frames)) != digest:
+        raise DamagedError(f"{path}: is not as it was written (another checksum); {_AGAIN}")
+    return frames
+
+
+def _digest(actor: TensorDictModuleBase, frames: int) -> str:
+    """SHA-256 (hex) over all that a file of weights says."""
+    digest = hashlib.sha256(f"{frames}".encode())
+    for name, tensor in sorted(actor.state_dict().items()):
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().data)
+    return digest.hexdigest()

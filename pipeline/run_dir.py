@@ -2,116 +2,215 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import os
-import platform
-import subprocess
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
+import yaml
 
-from configs.schema import Config
+from envs.registry import imports_of
+from pipeline.files.run_files import (
+    CONFIG,
+    PLACES,
+    TRUST,
+    VERSIONS,
+    RunDirectoryError,
+    read_summed,
+    versions,
+    with_sum,
+    write_atomically,
+)
+from pipeline.files.run_format import latest_of, require_plain
+from pipeline.files.run_lock import is_locked
+from pipeline.literals import LITERAL, literal
+from pipeline.recipe import Recipe
+from pipeline.renamed import rename_keys, rename_overrides
+from pipeline.settings import SettingsError, plain
 
-CONFIG = "config.yaml"
-VERSIONS = "versions.json"
-LEARNING_CURVE = "learning_curve.jsonl"
-ALARMS = "alarms.jsonl"
-EVALUATION = "evaluation.json"
-PACKAGES = ("torch", "torchrl", "tensordict", "mujoco", "dm-control", "gymnasium", "numpy")
+TASK_KEY = "task.name"
+DEPTH = 32
+"""Of the deepest nesting that is read."""
+HISTORY = "history"
+"""In config.yaml, beside the values: when a resume changed which of them."""
 
 
-class RunDirectoryError(ValueError):
-    """The run directory cannot be used; the message names it and the remedy."""
-
-
-def create_run_dir(path: Path, config: Config) -> None:
-    """Makes a new run directory and writes the resolved configuration and versions into it.
+def create_run_dir(path: Path, recipe: Recipe) -> None:
+    """Makes a new run directory and writes the recipe and versions into it.
 
     Raises:
         RunDirectoryError: If it exists already or cannot be written.
     """
-    if path.exists():
-        raise RunDirectoryError(
-            f"Run directory {path} exists. Continue it with RESUME={path}, or choose another with "
-            "RUN=<new directory>."
-        )
     try:
         path.mkdir(parents=True)
-        write_atomically(path / VERSIONS, json.dumps(versions(), indent=2) + "\n")
-        save_config(path, config)
+    except FileExistsError as error:
+        raise RunDirectoryError(existing(path)) from error
     except OSError as error:
-        raise RunDirectoryError(
-            f"Run directory {path} cannot be written ({error.strerror}); choose another with RUN=."
-        ) from error
+        raise _unwritable(path, error) from error
+    try:
+        write_atomically(path / VERSIONS, json.dumps(versions(), indent=2) + "\n")
+        save_recipe(path, recipe)
+    except OSError as error:
+        raise _unwritable(path, error) from error
 
 
-def save_config(path: Path, config: Config) -> None:
-    """Writes the resolved configuration: of a new run, or of one resumed with other values."""
-    write_atomically(path / CONFIG, OmegaConf.to_yaml(config, resolve=True))
+def _unwritable(path: Path, error: OSError) -> RunDirectoryError:
+    return RunDirectoryError(
+        f"Run directory {path} cannot be written ({error.strerror}); choose another with RUN=."
+    )
 
 
-def load_config(run_dir: Path, overrides: list[str] | None = None) -> Config:
-    """Reads the configuration of a run, with command-line overrides on top.
+def existing(path: Path) -> str:
+    """What a directory that is in a new run's way holds, and what can be done with it."""
+    another = "or choose another with RUN=<new directory>"
+    if not (path / CONFIG).is_file():
+        return f"{path} exists and is no run directory: remove it, {another}."
+    if is_locked(path):
+        return f"Run directory {path} exists, and a run is under way in it: wait for it, {another}."
+    checkpoint = latest_of(path)
+    if checkpoint is None:
+        return (
+            f"Run directory {path} exists: a run that ended before its first checkpoint. Start it "
+            f"again with RESUME={path}, {another}."
+        )
+    recipe, frames = saved_recipe(path), int(checkpoint.name.rpartition("-")[2])
+    key = "bc.updates" if recipe.offline else "collector.total_frames"
+    total = recipe.bc.updates if recipe.offline else recipe.collector.total_frames
+    if frames < total:
+        return (
+            f"Run directory {path} exists: a run at {frames} of {total} frames. Continue it with "
+            f"RESUME={path}, {another}."
+        )
+    return (
+        f"Run directory {path} exists: a complete run of {frames} frames. Evaluate it with make "
+        f'eval RUN={path}, train it for longer with RESUME={path} ARGS="{key}=...", {another}.'
+    )
+
+
+def save_recipe(path: Path, recipe: Recipe, change: Mapping[str, Any] | None = None) -> None:
+    """Writes the recipe of a run: of a new one, or of one resumed with other values.
+
+    Args:
+        path: The run directory.
+        recipe: All of its values.
+        change: What is new since it was written last; added to the file's history.
+    """
+    values = recipe.plain()
+    if change is not None:
+        values[HISTORY] = [*_read(path / CONFIG).get(HISTORY, []), dict(change)]
+    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
+    write_atomically(path / CONFIG, with_sum(text))
+
+
+def saved_recipe(run_dir: Path) -> Recipe:
+    """The recipe that a run directory holds, as it stands; nothing of it is imported.
 
     Raises:
-        RunDirectoryError: If there is none, it is damaged, or an override names an unknown key.
+        RunDirectoryError: If there is none, or it is damaged.
+        RunFormatError: If it is a link.
     """
     path = run_dir / CONFIG
-    if not path.is_file():
-        raise RunDirectoryError(f"{run_dir} is not a run directory: it holds no {CONFIG}.")
     try:
-        schema = OmegaConf.structured(Config)
-        merged = OmegaConf.merge(
-            schema, OmegaConf.load(path), OmegaConf.from_dotlist(overrides or [])
-        )
-    except (OmegaConfBaseException, YAMLError) as error:
+        return Recipe.of(_values(path), str(path))
+    except SettingsError as error:
+        raise RunDirectoryError(str(error)) from error
+
+
+def load_recipe(run_dir: Path, overrides: Sequence[str] = ()) -> Recipe:
+    """Reads the recipe of a run, with ``key=value`` of a command line on top.
+
+    Raises:
+        RunDirectoryError: If there is none, it is damaged, an override names an unknown key, or its
+            task runs somebody's code of which the command line says nothing.
+        RunFormatError: If it is a link.
+    """
+    path = run_dir / CONFIG
+    values = _values(path)
+    # Hydra's mark for new keys is not needed here.
+    typed, _ = rename_overrides([override.lstrip("+") for override in overrides])
+    try:
+        recipe = Recipe.of(values, str(path))
+        for override in typed:
+            recipe = overridden(recipe, override)
+    except SettingsError as error:
         raise RunDirectoryError(
-            f"{path} with overrides {overrides or []} does not fit the schema: {error}"
+            f"{error} (with overrides {typed})" if typed else str(error)
         ) from error
-    return merged  # type: ignore[return-value]  # OmegaConf types the merge of a dataclass loosely
+    _require_trusted(recipe, typed, path)
+    return recipe
 
 
-def versions() -> dict[str, Any]:
-    """Packages, interpreter, machine and git revision."""
-    found: dict[str, str | None] = {}
-    for package in PACKAGES:
-        try:
-            found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            found[package] = None
-    return {
-        "packages": found,
-        "python": platform.python_version(),
-        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
-        "git": _git("rev-parse", "HEAD"),
-        "git_dirty": bool(_git("status", "--porcelain")),
-    }
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Writes ``text`` so that a reader sees the old file or the new one, never a part."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _git(*arguments: str) -> str | None:
-    try:
-        done = subprocess.run(
-            ["git", *arguments],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=10,
+def _values(path: Path) -> dict[str, Any]:
+    """What a recipe is made from, under the names of today."""
+    saved = _read(path)
+    for key in (*PLACES, HISTORY):  # places: of runs made when they stood here too
+        saved.pop(key, None)
+    if "${" in json.dumps(saved, default=str):
+        raise RunDirectoryError(
+            f"{path} holds an interpolation (${{...}}), which no run writes: put its value there."
         )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return done.stdout.strip()
+    return rename_keys(saved)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if not path.exists() and not path.is_symlink():
+        raise RunDirectoryError(f"{path.parent} is not a run directory: it holds no {CONFIG}.")
+    require_plain(path)
+    text = read_summed(path)
+    try:
+        _require_bounded(text, path)
+        saved = yaml.safe_load(text)
+    except RunDirectoryError:
+        raise
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date that is none
+        told = " ".join(str(error).split())
+        raise RunDirectoryError(f"{path} is damaged ({told}); restore the file.") from error
+    if not isinstance(saved, dict):
+        raise RunDirectoryError(f"{path} holds no recipe; restore the file.")
+    return saved
+
+
+def _require_bounded(text: str, path: Path) -> None:
+    """Refuses what a few lines of YAML can make that fills the memory or takes hours."""
+    depth = 0
+    for event in yaml.parse(text):
+        if isinstance(event, yaml.AliasEvent):
+            raise RunDirectoryError(f"{path} holds an alias (*name), which no run writes.")
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEPTH:
+            raise RunDirectoryError(f"{path} is nested deeper than any that a run writes.")
+
+
+def _require_trusted(recipe: Recipe, overrides: list[str], where: Path) -> None:
+    """Refuses to run code that nobody but the run directory names: it may lie within it."""
+    if os.environ.get(TRUST) == "1":
+        return
+    for key, what in imports_of(recipe.task.name, recipe.task.options).items():
+        if not any(override.startswith(f"{key}=") for override in overrides):
+            value = plain(getattr(recipe.task, key.removeprefix("task.")))
+            again = f"TASK={value}" if key == TASK_KEY else f'ARGS="{key}={_typed(value)}"'
+            raise RunDirectoryError(
+                f"{where} asks to import {what!r} ({key}={_typed(value)}), which runs its code. If "
+                f"you trust it, set {TRUST}=1, or name it yourself: {again}"
+            )
+
+
+def _typed(value: Any) -> str:
+    return f"[{','.join(value)}]" if isinstance(value, (list, tuple)) else str(value)
+
+
+def overridden(recipe: Recipe, override: str) -> Recipe:
+    """The recipe with one ``key=value`` on top.
+
+    Raises:
+        SettingsError: If it has another form, or the key or value is not possible.
+    """
+    name, separator, text = override.partition("=")
+    if not separator:
+        raise SettingsError(f"{override!r} is not of the form key=value")
+    change: Any = literal(text) if name in LITERAL else yaml.safe_load(text)
+    for part in reversed(name.split(".")):
+        change = {part: change}
+    return recipe.changed(**change)

@@ -1,4 +1,4 @@
-"""Entry point of ``make train``: Hydra composes the configuration, ``build.py`` the run."""
+"""Entry point of ``make train``: Hydra composes the recipe, ``build.py`` the run."""
 
 from __future__ import annotations
 
@@ -8,34 +8,38 @@ from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import OmegaConf
+from hydra.types import RunMode
+from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from configs import Config, register_schema
-from envs.demonstrations import DemonstrationError
+from configs import prepare, recipe_of
+from envs.task import TaskFailedError
 from pipeline.build import build_run
-from pipeline.run_dir import RunDirectoryError, load_config
+from pipeline.machine.disk import told
+from pipeline.machine.interruption import Interrupted, Interruption, interruption
+from pipeline.machine.sweep import note, sweep
+from pipeline.non_finite import EXIT_CODE, NonFiniteError
+from pipeline.recipe import Recipe
+from pipeline.run_dir import load_recipe
 
 logger = logging.getLogger(__name__)
-register_schema()
 
 IDENTITY = {"variant", "preset", "run_dir"}
 """Overrides that say which run it is; a resumed run brings its own."""
 
 
-def resolve(config: Config) -> tuple[Config, bool]:
-    """The configuration to run and whether it continues an earlier run.
+def resolve(config: DictConfig) -> tuple[Recipe, Path, bool]:
+    """The recipe, the run directory and whether an earlier run in it goes on.
 
-    With ``resume=DIR`` the run's own configuration is read and only the overrides that were typed
-    on the command line are put on top of it.
+    With ``resume=DIR`` the run's own recipe is read and only the overrides that were typed on the
+    command line are put on top of it.
 
     Raises:
-        ValueError: If a resumed run is also told what it is.
+        ValueError: If a resumed run is also told what it is, or a value is not possible.
         RunDirectoryError: If there is no run to resume.
     """
     if config.resume is None:
-        OmegaConf.resolve(config)  # type: ignore[arg-type]
-        return config, False
+        return recipe_of(config), Path(config.run_dir), False
     run_dir = Path(config.resume)
     typed = [o for o in HydraConfig.get().overrides.task if not o.startswith("resume=")]
     chosen = [o for o in typed if o.split("=")[0] in IDENTITY]
@@ -43,26 +47,71 @@ def resolve(config: Config) -> tuple[Config, bool]:
         raise ValueError(
             f"resume={run_dir} continues that run as what it is; leave out {', '.join(chosen)}."
         )
-    resumed = load_config(run_dir, typed)
-    resumed.run_dir = str(run_dir)
-    return resumed, True
+    return load_recipe(run_dir, typed), run_dir, True
 
 
 @hydra.main(version_base="1.3", config_path="pkg://configs", config_name="train")
-def main(config: Config) -> None:
+def main(config: DictConfig) -> None:
     """Trains one run (or, with ``--multirun``, one of several)."""
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports each buffer it allocates
+    failed = _failure(config)
+    if HydraConfig.get().mode == RunMode.MULTIRUN:
+        note(HydraConfig.get().overrides.task, None if failed is None else failed[1])
+        if failed is not None:
+            print(f"error: {failed[1]}", file=sys.stderr)
+    elif failed is not None:
+        code, why = failed
+        print(f"error: {why}", file=sys.stderr)
+        sys.exit(code)
+
+
+def _failure(config: DictConfig) -> tuple[int, str] | None:
+    """Trains; returns the exit code and why, if that failed."""
     try:
-        resolved, resume = resolve(config)
-        run = build_run(resolved, resume=resume)
-    except (DemonstrationError, RunDirectoryError, ValueError, FileNotFoundError) as error:
-        sys.exit(f"error: {error}")
+        with interruption() as signals:
+            _train(config, signals)
+    except Interrupted as stop:
+        sys.exit(stop.exit_code)  # of a whole sweep too
+    except NonFiniteError as error:
+        return EXIT_CODE, str(error)
+    except (ValueError, FileNotFoundError, TaskFailedError) as error:
+        return 1, str(error)
+    except OSError as error:
+        return 1, told(error)
     except OmegaConfBaseException as error:
-        sys.exit(f"error in the configuration: {error}")
+        return 1, f"in the configuration: {error}"
+    return None
+
+
+def _train(config: DictConfig, signals: Interruption) -> None:
+    recipe, run_dir, resume = resolve(config)
+    try:
+        run = build_run(recipe, run_dir, resume=resume)
+    except Interrupted:
+        print("stopped before the training began; nothing is lost", file=sys.stderr)
+        raise
     logger.info("run directory: %s", run.run_dir)
-    run.train()
+    signals.asks(run.stop)
+    try:
+        run.train()
+    except Interrupted:
+        frames = run.trainer.collected_frames
+        print(
+            f"stopped at {frames} frames; go on with: make train RESUME={run_dir}", file=sys.stderr
+        )
+        raise
     logger.info("done; evaluate it with: make eval RUN=%s", run.run_dir)
 
 
+def run_command_line() -> None:
+    """Makes Hydra ready for the task that the arguments name, and trains."""
+    try:
+        sys.argv[1:] = prepare(sys.argv[1:])
+    except ValueError as error:
+        sys.exit(f"error: {error}")
+    with sweep():
+        main()
+
+
 if __name__ == "__main__":
-    main()
+    run_command_line()

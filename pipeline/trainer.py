@@ -2,65 +2,113 @@
 
 from __future__ import annotations
 
+import random
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
+from filelock import FileLock
+from tensordict.nn import TensorDictModuleBase
 from torchrl.checkpoint import Checkpoint
-from torchrl.modules import ProbabilisticActor
 from torchrl.trainers import Trainer
 
-from configs.schema import Config
+from envs import Task
 from pipeline import components
-from pipeline.checkpoint import make_rotation
-from pipeline.hooks import EvaluationHook
-from pipeline.loggers import make_loggers
-from pipeline.run_dir import LEARNING_CURVE
-from pipeline.time_use import OTHER, TimeUse
+from pipeline.files.checkpoint import make_rotation
+from pipeline.files.curves import WALL_S
+from pipeline.files.run_files import LEARNING_CURVE
+from pipeline.files.time_use import OTHER, TimeUse
+from pipeline.hooks import EvaluationHook, PortionGuard, UpdatesHook
+from pipeline.machine.disk import with_room
+from pipeline.machine.interruption import StopRequest
+from pipeline.non_finite import NonFiniteError
+from pipeline.recipe import Recipe
+from pipeline.watch.loggers import make_loggers
 
 
 @dataclass(frozen=True)
 class Run:
     """A composed run."""
 
-    config: Config
+    recipe: Recipe
     run_dir: Path
     trainer: Trainer
-    actor: ProbabilisticActor
+    actor: TensorDictModuleBase
     time_use: TimeUse
+    evaluation: EvaluationHook
+    updates: UpdatesHook
+    stop: StopRequest
+    """Ends the training after the present update, with a checkpoint."""
+    lock: FileLock | None = None
+    """Of ``run_dir``; free again when the run has been trained."""
+    begin: Callable[[], object] | None = None
+    """What a new run does before its first frame; one that is resumed has done it."""
 
     def train(self) -> None:
-        """Trains to the end; the newest checkpoint and the learning curve are in ``run_dir``."""
-        # The trainer looks at its total only after a batch: a complete run would grow by one.
-        if self.trainer.collected_frames < self.trainer.total_frames:
-            try:
-                with self.time_use.part(OTHER):
-                    self.trainer.train()
-            finally:
-                self.time_use.write(self.run_dir)
+        """Trains to the end; the newest checkpoint and the learning curve are in ``run_dir``.
+
+        Raises:
+            Interrupted: If it was asked to stop (``stop``) before its end; it can go on from there.
+            NonFiniteError: If numbers are not finite; what they were found in is in ``run_dir``.
+        """
+        try:
+            # The trainer looks at its total only after a batch: a complete run would grow by one.
+            if self.trainer.collected_frames < self.trainer.total_frames:
+                self._go_on()
+            else:
+                owed = self.updates.owed
+                self.updates.catch_up()
+                if owed:
+                    self.trainer.save_trainer(force_save=True)
+                self.evaluation.finish()
+        except NonFiniteError as error:
+            raise error.kept(self.run_dir) from error
+        finally:
+            if self.lock is not None:
+                self.lock.release()
+
+    def _go_on(self) -> None:
+        try:
+            with self.time_use.part(OTHER):
+                if self.begin is not None and self.trainer.collected_frames == 0:
+                    self.begin()
+                self.trainer.train()
+        finally:
+            self.time_use.write(self.run_dir)
+        self.stop.leave()
 
 
 def make_trainer(
-    config: Config, run_dir: Path, checkpoint: Checkpoint, time_use: TimeUse, **parts: object
+    recipe: Recipe,
+    run_dir: Path,
+    stop: StopRequest,
+    checkpoint: Checkpoint,
+    time_use: TimeUse,
+    **parts: object,
 ) -> Trainer:
     """TorchRL's trainer with this project's checkpointing, logging and progress bar."""
     trainer = Trainer(
         frame_skip=1,
-        logger=make_loggers(list(config.logging.loggers), run_dir, config.logging.project),
-        progress_bar=config.logging.progress,
-        log_interval=config.logging.interval,
-        save_trainer_interval=config.logging.checkpoint_interval,
+        logger=make_loggers(list(recipe.logging.loggers), run_dir, recipe.logging.project),
+        progress_bar=recipe.logging.progress,
+        log_interval=recipe.logging.interval,
+        save_trainer_interval=recipe.logging.checkpoint_interval,
         checkpoint=checkpoint,
-        checkpoint_rotation=make_rotation(run_dir),
+        checkpoint_rotation=make_rotation(run_dir, recipe.logging.checkpoints),
         **parts,
     )
     # TorchRL keeps every value it was given. Between them the freed activations of large networks
     # cannot be joined again: the process grew by 1.4 MB per update of the paper's size.
     trainer._log_dict = defaultdict(lambda: deque(maxlen=1))
     trainer.register_module("time_use", time_use)
+    PortionGuard().register(trainer)
+    # Before an evaluation and a checkpoint; collecting waits for the updates in any case.
+    trainer.register_op("post_steps", trainer.optimization_stepper.settle)
+    trainer.register_op("post_steps", lambda: trainer.request_stop() if stop.made else None)
+    with_room(trainer, run_dir)
     time_use.watch(trainer.optimization_stepper, "step", "update")
     time_use.watch(trainer, "save_trainer", "checkpoint")
     if trainer.logger is not None:
@@ -69,8 +117,10 @@ def make_trainer(
 
 
 def make_evaluation_hook(
-    config: Config,
-    actor: ProbabilisticActor,
+    recipe: Recipe,
+    task: Task,
+    stop: StopRequest,
+    actor: TensorDictModuleBase,
     run_dir: Path,
     time_use: TimeUse,
     *diagnostics: Callable[[], Mapping[str, float]],
@@ -79,19 +129,24 @@ def make_evaluation_hook(
 
     Each row holds the metrics, the wall time so far (``wall_s``) and the ``diagnostics``.
     """
-    evaluator = components.make_evaluator(config, episodes=config.evaluation.interval_episodes)
+    evaluator = components.make_evaluator(
+        recipe, task, episodes=recipe.evaluation.interval_episodes, keep_env=True
+    )
+    evaluator = replace(evaluator, between_steps=stop.leave)
     hook = EvaluationHook(
         evaluator,
         actor,
-        config.evaluation.interval,
+        recipe.evaluation.interval,
         run_dir / LEARNING_CURVE,
-        [lambda: {"wall_s": round(time_use.elapsed, 3)}, *diagnostics],
+        [lambda: {WALL_S: round(time_use.elapsed, 3)}, *diagnostics],
+        stop,
     )
     time_use.watch(hook, "evaluate", "evaluate")
     return hook
 
 
 def seed_everything(seed: int) -> None:
-    """Seeds torch and numpy; environments are seeded where they are built."""
+    """Seeds torch, numpy and Python; environments are seeded where they are built."""
     torch.manual_seed(seed)
     np.random.seed(seed)
+    random.seed(seed)

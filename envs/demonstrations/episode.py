@@ -12,8 +12,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.door import task
-
 Kind = Literal["recorded", "resimulated", "multiplied", "policy"]
 Detail = float | int | str | bool
 
@@ -42,20 +40,29 @@ class Provenance:
         # A mapping proxy cannot be pickled, and episodes travel between processes.
         return Provenance, (self.source, self.episode, self.kind, dict(self.details))
 
+    def __str__(self) -> str:
+        """Where to look for it, for messages."""
+        return f"{self.source}, episode {self.episode}"
+
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One door episode of T transitions; ``observations[t + 1]`` follows ``actions[t]``.
+    """One episode of T transitions; ``observations[t + 1]`` follows ``actions[t]``.
 
     Attributes:
-        observations: float32 [T + 1, 38], in the order of `envs.door.task`.
-        actions: float32 [T, 28] as recorded; entries may lie outside [-1, 1] (the simulator clips).
+        observations: float32 [T + 1, O], in the order of the task's environment.
+        actions: float32 [T, A] as recorded; entries may lie outside [-1, 1] (environments clip).
         rewards: float32 [T], of the source's own reward until the episode is re-simulated.
         terminated: bool [T], true at the last step only, if at all.
         provenance: where the episode came from.
-        door_position: float64 [3], position of the door frame in metres, or None if unknown.
-        initial_qpos: float64 [30] joint positions (rad, m) before the first action, or None.
-        initial_qvel: float64 [30] joint velocities before the first action, or None.
+        start: where it begins, by the names of the task's schema (a door's position, joint angles,
+            a seed); what the file does not hold is missing.
+        success: bool [T + 1], whether the task is accomplished at each observation; None where
+            nobody knows.
+        progress: float32 [T + 1], how far it is, in the task's unit; None likewise.
+        executed_actions: float32 [T, A], what led to the observations and rewards where that is
+            not ``actions`` (DART: noise is executed, the clean action is there to be imitated);
+            None where it is.
     """
 
     observations: NDArray[np.float32]
@@ -63,15 +70,16 @@ class Episode:
     rewards: NDArray[np.float32]
     terminated: NDArray[np.bool_]
     provenance: Provenance
-    door_position: NDArray[np.float64] | None = None
-    initial_qpos: NDArray[np.float64] | None = None
-    initial_qvel: NDArray[np.float64] | None = None
+    start: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    success: NDArray[np.bool_] | None = None
+    progress: NDArray[np.float32] | None = None
+    executed_actions: NDArray[np.float32] | None = None
 
     def __repr__(self) -> str:
-        origin = f"{self.provenance.source}[{self.provenance.episode}]"
         return (
             f"Episode(length={self.length}, return={self.return_:.1f}, "
-            f"max_angle={self.max_angle:.3f}, {self.provenance.kind} from {origin})"
+            f"max_progress={self.max_progress:.3f}, "
+            f"{self.provenance.kind} from {self.provenance.source}[{self.provenance.episode}])"
         )
 
     @property
@@ -84,19 +92,45 @@ class Episode:
         """Undiscounted sum of all rewards."""
         return self.return_at(self.length)
 
-    def return_at(self, horizon: int) -> float:
+    def return_at(self, horizon: int | None) -> float:
         """Undiscounted sum of the first ``horizon`` rewards (of all, if the episode is shorter)."""
         return float(self.rewards[:horizon].sum(dtype=np.float64))
 
+    @property
+    def played_actions(self) -> NDArray[np.float32]:
+        """The actions [T, A] that led to the observations."""
+        return self.actions if self.executed_actions is None else self.executed_actions
+
     @cached_property
-    def max_angle(self) -> float:
-        """Largest hinge angle reached after an action, in rad."""
-        return float(task.hinge_angle(self.observations[1:]).max())
+    def max_progress(self) -> float:
+        """Largest progress reached after an action, in the task's unit; NaN if nobody knows."""
+        return float("nan") if self.progress is None else float(self.progress[1:].max())
+
+    @cached_property
+    def succeeds(self) -> bool | None:
+        """Whether the task is accomplished after any action; None if nobody knows."""
+        return None if self.success is None else bool(self.success[1:].any())
 
     @cached_property
     def clipped_entries(self) -> int:
-        """Number of action entries outside [-1, 1]; the simulator clips these."""
+        """Number of action entries outside [-1, 1]; environments clip these."""
         return int((np.abs(self.actions) > 1.0).sum())
+
+    def first_steps(self, steps: int) -> Episode:
+        """The episode's first ``steps`` transitions. The end is a cut, not a terminal state."""
+        return Episode(
+            observations=self.observations[: steps + 1],
+            actions=self.actions[:steps],
+            rewards=self.rewards[:steps],
+            terminated=self.terminated[:steps],
+            provenance=self.provenance,
+            start=self.start,
+            success=None if self.success is None else self.success[: steps + 1],
+            progress=None if self.progress is None else self.progress[: steps + 1],
+            executed_actions=(
+                None if self.executed_actions is None else self.executed_actions[:steps]
+            ),
+        )
 
 
 def content_hash(episodes: Iterable[Episode]) -> str:
@@ -105,19 +139,19 @@ def content_hash(episodes: Iterable[Episode]) -> str:
     for episode in episodes:
         p = episode.provenance
         digest.update(repr((p.source, p.episode, p.kind, sorted(p.details.items()))).encode())
-        for array in (
-            episode.observations,
-            episode.actions,
-            episode.rewards,
-            episode.terminated,
-            episode.door_position,
-            episode.initial_qpos,
-            episode.initial_qvel,
-        ):
-            if array is None:
-                digest.update(b"none")
-            else:
+        named: dict[str, NDArray[np.generic] | None] = {
+            "observations": episode.observations,
+            "actions": episode.actions,
+            "rewards": episode.rewards,
+            "terminated": episode.terminated,
+            "success": episode.success,
+            "progress": episode.progress,
+            "executed_actions": episode.executed_actions,
+        }
+        named |= {f"start/{key}": episode.start[key] for key in sorted(episode.start)}
+        for name, array in named.items():
+            if array is not None:
                 # Shape and dtype are hashed too: equal bytes of another shape are another array.
-                digest.update(repr((array.shape, array.dtype.str)).encode())
+                digest.update(repr((name, array.shape, array.dtype.str)).encode())
                 digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class DemonstrationError(ValueError):
-    """A demonstration source is missing, unreadable, unsafe or does not fit the door task.
+    """A demonstration source is missing, unreadable, unsafe or does not fit the task.
 
     The message always has three parts: where (file and episode), what is wrong (key and value), and
     what to do about it.

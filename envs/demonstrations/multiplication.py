@@ -1,13 +1,14 @@
 """Demonstration multiplication: many successful episodes out of a few (beyond the paper).
 
-A recorded action sequence is replayed faster, at other doors and with noise, and the simulator says
-whether the door still opens. Relatives: MimicGen (Mandlekar et al., 2023) moves demonstrations to
-other object poses; DART (Laskey et al., 2017) executes noise but records the clean action, so that
-the data holds recoveries.
+A recorded action sequence is replayed faster, from other starts and with noise, and the simulator
+says whether it still succeeds. How an episode is varied and played is the task's part
+(:class:`Variation`); here is what is tried next, what is kept and for how long. Relatives:
+MimicGen (Mandlekar et al., 2023) moves demonstrations to other object poses; DART (Laskey et al.,
+2017) executes noise but records the clean action, so that the data holds recoveries.
 
-Deviation: the paper trains on the recorded demonstrations alone (section IV-B). Humans need 144-219
-steps to move the door, of an episode of 200, so a policy that copies them earns little. Off unless
-a `MultiplyConfig` is given to `load_demonstrations`.
+Deviation: the paper trains on the recorded demonstrations alone (section IV-B). Humans are slow, so
+a policy that copies them earns little within the horizon. Off unless a `MultiplyConfig` is given to
+`load_demonstrations`.
 """
 
 from __future__ import annotations
@@ -15,46 +16,108 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.demonstrations.attempts import Attempt, AttemptFactory, play_attempts
-from envs.demonstrations.episode import Episode, Provenance, content_hash
+from envs.demonstrations.episode import Episode, content_hash
 from envs.demonstrations.errors import DemonstrationError
 from envs.demonstrations.multiply_config import MultiplyConfig
-from envs.demonstrations.recording import read_recording, write_recording
-from envs.door import task
-from envs.door.simulator import DoorSimulator
+from envs.demonstrations.readers.recording import read_card, read_recording
+from envs.demonstrations.schema import DemoSchema
+from envs.demonstrations.writers.recording import write_recording
+from envs.steps import count_steps, counted_steps
 
 _logger = logging.getLogger(__name__)
 
 #: Part of the cache key. Raise it whenever the same inputs give other episodes.
-CODE_VERSION = 1
+CODE_VERSION = 2
+HASH = "content_hash"
+"""Key of a cache file's card."""
+_STEPS = "simulator_steps"
+
+
+class Attempt(Protocol):
+    """One variation of one source."""
+
+    @property
+    def source(self) -> int:
+        """Index of the episode that is varied."""
+        ...
+
+
+A = TypeVar("A", bound=Attempt)
+
+
+class Player(Protocol[A]):
+    """Draws variations of given episodes and plays them."""
+
+    def draw(self, index: int, weights: NDArray[np.float64]) -> A:
+        """Attempt number ``index``, the same for the same index, settings and weights.
+
+        Args:
+            index: number of the attempt.
+            weights: [sources], not negative: how much each source is wanted.
+        """
+        ...
+
+    def play(self, attempts: Sequence[A]) -> Iterator[Episode | None]:
+        """Plays attempts together; an episode of kind ``multiplied`` for each success, in order."""
+        ...
+
+
+class Variation(Protocol):
+    """How a task varies its demonstrations."""
+
+    @property
+    def schema(self) -> DemoSchema:
+        """Of the episodes."""
+        ...
+
+    @property
+    def identity(self) -> str:
+        """All that the attempts depend on besides episodes and settings: part of a cache's key."""
+        ...
+
+    def open(
+        self, episodes: Sequence[Episode], settings: MultiplyConfig, num_threads: int | None
+    ) -> AbstractContextManager[Player[Any]]:
+        """Makes ready to vary ``episodes``.
+
+        Raises:
+            DemonstrationError: an episode lacks what varying it needs.
+        """
+        ...
 
 
 def multiply(
-    episodes: Sequence[Episode], config: MultiplyConfig, num_threads: int | None = None
+    episodes: Sequence[Episode],
+    config: MultiplyConfig,
+    vary: Variation,
+    num_threads: int | None = None,
 ) -> list[Episode]:
-    """Make successful episodes at doors of the task's reset distribution.
+    """Make successful episodes from starts of the task's reset distribution.
 
     Args:
-        episodes: re-simulated episodes with their door positions. Sources need not succeed within
-            the horizon themselves: replayed faster, they may.
+        episodes: re-simulated episodes with their starts. Sources need not succeed within the
+            horizon themselves: replayed faster, they may.
         config: what to try and what to keep.
+        vary: the task's way to vary them.
         num_threads: threads of the simulator, default all cores. No effect on the result.
 
     Returns:
         At most ``target_episodes`` episodes of kind ``multiplied``, in the order of their attempts;
         fewer (with a warning) if ``max_attempts`` are used up. Their actions are the clean ones,
-        already clipped to [-1, 1].
+        ``executed_actions`` those with noise, both clipped to [-1, 1] as environments do.
 
     Raises:
-        DemonstrationError: an episode has no door position, or no attempt succeeds.
+        DemonstrationError: an episode lacks what varying it needs, or no attempt succeeds.
     """
     kept: list[Episode] = []
     tally = _Tally.empty(len(episodes), config)
@@ -64,19 +127,17 @@ def multiply(
         "multiplying %d demonstrations to %d episodes, which can take minutes",
         len(episodes), config.target_episodes,
     )  # fmt: skip
-    with DoorSimulator(config.round_size, num_threads=num_threads) as simulator:
-        factory = AttemptFactory.prepare(episodes, config, simulator.scene)
+    with vary.open(episodes, config, num_threads) as player:
         while len(kept) < config.target_episodes and attempts < config.max_attempts:
             size = tally.next_round(config.target_episodes - len(kept), config.max_attempts)
             weights = tally.weights()
-            batch = [factory.draw(attempts + k, weights) for k in range(size)]
+            batch = [player.draw(attempts + k, weights) for k in range(size)]
             attempts += size
-            for attempt, observations in play_attempts(simulator, batch, config):
+            for attempt, episode in zip(batch, player.play(batch), strict=True):
                 wanted = tally.room_for(attempt.source) and len(kept) < config.target_episodes
-                success = observations is not None
-                tally.record(attempt.source, tried=True, kept=success and wanted)
-                if observations is not None and wanted:
-                    kept.append(_episode(episodes[attempt.source], attempt, observations))
+                tally.record(attempt.source, tried=True, kept=episode is not None and wanted)
+                if episode is not None and wanted:
+                    kept.append(episode)
             if 10 * len(kept) // config.target_episodes > tenths:
                 tenths = 10 * len(kept) // config.target_episodes
                 _logger.info(
@@ -88,13 +149,13 @@ def multiply(
     if not kept:
         raise DemonstrationError(
             "multiplication",
-            f"none of {attempts} attempts passed {config.min_angle} rad",
-            "Check that the demonstrations open the door (make demos-check)",
+            f"none of {attempts} attempts {_goal(config)}",
+            "Check that the demonstrations succeed (make demos-check)",
         )
     if len(kept) < config.target_episodes:
         _logger.warning(
             "kept %d of %d multiplied episodes in %d attempts; "
-            "for more, raise max_attempts or lower min_angle",
+            "for more, raise max_attempts or lower min_progress",
             len(kept), config.target_episodes, attempts,
         )  # fmt: skip
     return kept
@@ -103,6 +164,7 @@ def multiply(
 def multiply_cached(
     episodes: Sequence[Episode],
     config: MultiplyConfig,
+    vary: Variation,
     *,
     num_threads: int | None = None,
     cache_dir: str | Path | None = None,
@@ -112,6 +174,7 @@ def multiply_cached(
     Args:
         episodes: see `multiply`.
         config: see `multiply`.
+        vary: see `multiply`.
         num_threads: see `multiply`.
         cache_dir: folder of the cache; None computes every time.
 
@@ -119,23 +182,50 @@ def multiply_cached(
         DemonstrationError: see `multiply`; a damaged cache file is replaced instead.
     """
     if cache_dir is None:
-        return multiply(episodes, config, num_threads)
-    path = Path(cache_dir) / f"multiplied-{cache_key(episodes, config)[:24]}.h5"
+        return multiply(episodes, config, vary, num_threads)
+    path = Path(cache_dir) / f"multiplied-{cache_key(episodes, config, vary)[:24]}.h5"
     if path.is_file():
         try:
-            return read_recording(path)
+            kept, steps_taken = _cached(path, vary.schema)
+            count_steps(steps_taken)
+            return kept
         except DemonstrationError as error:
             _logger.warning("replacing a damaged cache file: %s", error)
-    result = multiply(episodes, config, num_threads)
-    card = {"made_by": "multiply", "config": dataclasses.asdict(config), "version": CODE_VERSION}
+        except KeyError:
+            _logger.info("%s does not say how many steps it took: making it again", path)
+    with counted_steps() as steps:
+        result = multiply(episodes, config, vary, num_threads)
+    card = {
+        "made_by": "multiply",
+        "config": dataclasses.asdict(config),
+        "version": CODE_VERSION,
+        HASH: content_hash(result),
+        _STEPS: steps.taken,
+    }
     write_recording(path, result, card)
     return result
 
 
-def cache_key(episodes: Sequence[Episode], config: MultiplyConfig) -> str:
+def _cached(path: Path, schema: DemoSchema) -> tuple[list[Episode], int]:
+    """The episodes of a cache file, if they are those that were written, and what they cost."""
+    kept, card = read_recording(path, schema), read_card(path)
+    found = content_hash(kept)
+    if card.get(HASH, found) != found:  # files of before have none
+        raise DemonstrationError(path, "is not as it was written (another hash)", "It can go")
+    return kept, int(card[_STEPS])
+
+
+def cache_key(episodes: Sequence[Episode], config: MultiplyConfig, vary: Variation) -> str:
     """SHA-256 (hex) of everything that the result of `multiply` depends on."""
     settings = json.dumps(dataclasses.asdict(config), sort_keys=True)
-    return sha256(f"{CODE_VERSION} {content_hash(episodes)} {settings}".encode()).hexdigest()
+    parts = f"{CODE_VERSION} {vary.identity} {content_hash(episodes)} {settings}"
+    return sha256(parts.encode()).hexdigest()
+
+
+def _goal(config: MultiplyConfig) -> str:
+    if config.min_progress is None:
+        return "succeeded"
+    return f"got beyond a progress of {config.min_progress}"
 
 
 @dataclass
@@ -173,22 +263,3 @@ class _Tally:
         success = (self.kept.sum() + 1.0) / (self.tried.sum() + 2.0)
         needed = int(np.ceil(missing / success))
         return max(1, min(self.round_size, needed, max_attempts - int(self.tried.sum())))
-
-
-def _episode(source: Episode, attempt: Attempt, observations: NDArray[np.float32]) -> Episode:
-    origin = source.provenance
-    details = {
-        "attempt": attempt.index,
-        "speed": attempt.speed,
-        "noise_scale": attempt.noise_scale,
-        "door_offset_m": attempt.door_offset,
-    }
-    steps = len(observations) - 1
-    return Episode(
-        observations=observations,
-        actions=attempt.clean_actions[:steps].astype(np.float32),
-        rewards=task.reward(observations[1:]),
-        terminated=task.terminated(observations[1:]),
-        provenance=Provenance(origin.source, origin.episode, "multiplied", details),
-        door_position=attempt.door_position,
-    )

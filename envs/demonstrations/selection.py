@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from envs.demonstrations.episode import Episode
-from envs.door import task
+from envs.demonstrations.errors import DemonstrationError
 
 
 def require_share(share: float) -> None:
@@ -22,8 +21,7 @@ def highest_returns(episodes: Sequence[Episode], share: float) -> list[Episode]:
     """Keep the episodes of highest return, in the order in which they came.
 
     Cloning only these is percentile behaviour cloning (Chen et al., 2021, arXiv:2106.01345,
-    section 5.1). A door's return grows with the time for which it stands open, so the quick
-    episodes that hold the door are kept.
+    section 5.1). Where a return grows with the time of success, the quick episodes are kept.
 
     Args:
         episodes: with their rewards.
@@ -39,49 +37,46 @@ def highest_returns(episodes: Sequence[Episode], share: float) -> list[Episode]:
     return [episodes[i] for i in sorted(best)]
 
 
-def require_end_angle(angle: float) -> None:
-    """Raise ``ValueError`` unless ``angle`` (rad) is in (0, the fully open door)."""
-    if not 0.0 < angle < task.FULLY_OPEN:
+def require_end_progress(progress: float, full: float | None) -> None:
+    """Raise ``ValueError`` unless ``progress`` is above 0 and below ``full``."""
+    if not 0.0 < progress < (math.inf if full is None else full):
         raise ValueError(
-            f"demos.end_angle is a hinge angle in rad, above 0 and below {task.FULLY_OPEN} "
-            f"(null keeps whole episodes), got {angle}"
+            f"demos.end_progress must be above 0{'' if full is None else f' and below {full}'} "
+            f"(null keeps whole episodes), got {progress}"
         )
 
 
-def ended_at(episodes: Sequence[Episode], angle: float) -> list[Episode]:
-    """End every episode at the first transition after which the hinge is beyond ``angle``.
+def ended_at(episodes: Sequence[Episode], progress: float) -> list[Episode]:
+    """End every episode at the first transition that gets beyond ``progress``.
 
-    What a hand does behind an open door is not part of opening it. A policy without memory that
-    imitates it also moves away from a door that it only believes to be open, and then hardly ever
-    comes back (docs/results/ablations.md, section 14).
+    What is shown behind the goal is not part of getting there. A policy without memory that
+    imitates it also does it where it only believes to be there, and then hardly ever comes back
+    (docs/lab/notes/20-demonstration-end.md).
 
-    Deviation: the paper imitates whole demonstrations (section IV-B). Off unless an angle is given.
+    Deviation: the paper imitates whole demonstrations (section IV-B). Off unless a bound is given.
 
     Args:
-        episodes: to end. One that never gets beyond the angle is kept as it is.
-        angle: hinge angle in rad, in (0, `envs.door.task.FULLY_OPEN`).
+        episodes: to end. One that never gets beyond the bound is kept as it is.
+        progress: in the task's unit, > 0.
 
     Returns:
         The episodes, in their order. The end is a cut, not a terminal state: ``terminated`` stays
         what it was, so that a value is bootstrapped from the last observation.
 
     Raises:
-        ValueError: ``angle`` is out of its range.
+        ValueError: ``progress`` is not positive.
+        DemonstrationError: an episode has no progress.
     """
-    require_end_angle(angle)
-    return [_first_steps(episode, _steps_to(episode, angle)) for episode in episodes]
+    require_end_progress(progress, None)
+    return [episode.first_steps(_steps_to(episode, progress)) for episode in episodes]
 
 
-def _steps_to(episode: Episode, angle: float) -> int:
-    beyond = np.flatnonzero(task.hinge_angle(episode.observations[1:]) > angle)
+def _steps_to(episode: Episode, progress: float) -> int:
+    if episode.progress is None:
+        raise DemonstrationError(
+            episode.provenance,
+            f"has no progress, which demos.end_progress={progress} bounds",
+            "Set demos.end_progress=null, or use a task whose demonstrations tell their progress",
+        )
+    beyond = np.flatnonzero(episode.progress[1:] > progress)
     return int(beyond[0]) + 1 if beyond.size else episode.length
-
-
-def _first_steps(episode: Episode, steps: int) -> Episode:
-    return dataclasses.replace(
-        episode,
-        observations=episode.observations[: steps + 1],
-        actions=episode.actions[:steps],
-        rewards=episode.rewards[:steps],
-        terminated=episode.terminated[:steps],
-    )

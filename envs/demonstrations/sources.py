@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from envs.demonstrations.dapg import DapgSource
 from envs.demonstrations.episode import Episode
 from envs.demonstrations.errors import DemonstrationError
-from envs.demonstrations.hdf5 import Hdf5Source
-from envs.demonstrations.minari import MinariSource, is_minari_folder
-from envs.demonstrations.recording import read_recording
+from envs.demonstrations.files import open_hdf5, require_regular
+from envs.demonstrations.findings import Kind, Notes
+from envs.demonstrations.readers import find_readers
+from envs.demonstrations.readers.hdf5_layout import HDF5_SUFFIXES, is_hdf5
+from envs.demonstrations.reading import FileSource, Reader
+from envs.demonstrations.schema import DemoSchema
 
-#: The recordings that come with the package; see the card beside them.
-BUNDLED = Path(__file__).parent / "bundled" / "door_bc.h5"
-MINARI_PREFIX = "minari:"
-_FORMS = "Use bundled, minari:ID, a .pickle/.pkl or .h5/.hdf5 file, or a folder of these"
+BUNDLED = "bundled"
 
 
 class DemonstrationSource(Protocol):
@@ -24,80 +22,118 @@ class DemonstrationSource(Protocol):
 
     name: str
 
-    def load(self) -> list[Episode]:
-        """Read and validate every episode.
-
-        Raises:
-            DemonstrationError: the source is missing, unreadable, unsafe or does not fit the task.
-        """
+    def load(
+        self,
+        schema: DemoSchema,
+        notes: Notes | None = None,
+        refused: list[DemonstrationError] | None = None,
+    ) -> list[Episode]:
+        """See `envs.demonstrations.reading.FileSource.load`."""
         ...
 
 
-class RecordingSource:
-    """A recording written by `envs.demonstrations.recording.write_recording`.
+class BundledSource:
+    """The recordings that come with a task."""
 
-    Args:
-        path: the file.
-        name: how provenance and reports call it, default the file's name.
-    """
+    name = BUNDLED
 
-    def __init__(self, path: str | Path, name: str | None = None) -> None:
-        self.path = Path(path)
-        self.name = name or self.path.name
-
-    def load(self) -> list[Episode]:
+    def load(
+        self,
+        schema: DemoSchema,
+        notes: Notes | None = None,
+        refused: list[DemonstrationError] | None = None,
+    ) -> list[Episode]:
         """See `DemonstrationSource.load`."""
-        return read_recording(self.path)
+        if schema.bundled is None:
+            raise DemonstrationError(
+                "demos.source=bundled",
+                f"is not there: no demonstrations come with {schema.describes}",
+                "Name your own: DEMOS=path, or DEMOS=minari:ID",
+            )
+        return open_source(schema.bundled).load(schema, notes, refused)
 
 
 class FolderSource:
-    """Every demonstration file of one folder, in the order of their names.
+    """Every demonstration file or dataset of one folder, in the order of their names.
 
     Args:
-        path: folder with ``.h5``, ``.hdf5``, ``.pickle`` or ``.pkl`` files.
+        path: folder of anything that a reader fits.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.name = self.path.name
 
-    def load(self) -> list[Episode]:
-        """See `DemonstrationSource.load`."""
-        files = sorted(file for file in self.path.iterdir() if file.suffix.lower() in _BY_SUFFIX)
-        if not files:
-            raise DemonstrationError(self.path, "holds no demonstration files", _FORMS)
-        return [episode for file in files for episode in open_source(str(file)).load()]
-
-
-_BY_SUFFIX: dict[str, Callable[[Path], DemonstrationSource]] = {
-    ".pickle": DapgSource,
-    ".pkl": DapgSource,
-    ".h5": Hdf5Source,
-    ".hdf5": Hdf5Source,
-}
+    def load(
+        self,
+        schema: DemoSchema,
+        notes: Notes | None = None,
+        refused: list[DemonstrationError] | None = None,
+    ) -> list[Episode]:
+        """See `DemonstrationSource.load`. Files that no reader knows are counted and left alone."""
+        notes = Notes() if notes is None else notes
+        found = sorted(entry for entry in self.path.iterdir() if not entry.name.startswith("."))
+        known = [entry for entry in found if _reader_of(entry) or _claimed(entry)]
+        for entry in found:
+            if entry not in known:
+                notes.add(Kind.IGNORED_FILES, 1, entry)
+        if not known:
+            raise DemonstrationError(self.path, "holds no demonstration files", forms())
+        return [e for entry in known for e in open_source(entry).load(schema, notes, refused)]
 
 
 def open_source(spec: str | Path) -> DemonstrationSource:
-    """Find the reader for a source; nothing is read until its `load` is called.
+    """Find the reader for a source; no episode is read until its `load` is called.
 
     Args:
-        spec: ``bundled``, ``minari:ID``, a ``.pickle``/``.pkl`` or ``.h5``/``.hdf5`` file, the
-            folder of a Minari dataset, or a folder of demonstration files.
+        spec: ``bundled``, ``minari:ID``, a file or dataset folder that a reader of
+            `envs.demonstrations.readers` fits, or a folder of these.
 
     Raises:
         DemonstrationError: no such file or folder, or no reader for its kind.
     """
     text = str(spec)
-    if text == "bundled":
-        return RecordingSource(BUNDLED, name="bundled")
-    if text.startswith(MINARI_PREFIX):
-        return MinariSource(text.removeprefix(MINARI_PREFIX))
+    if text == BUNDLED:
+        return BundledSource()
+    for reader in find_readers():
+        if reader.prefix is not None and text.startswith(reader.prefix):
+            return FileSource(reader, text)
     path = Path(text).expanduser()
     if not path.exists():
-        raise DemonstrationError(path, "does not exist", _FORMS)
+        raise DemonstrationError(path, "does not exist", forms())
+    if not path.is_dir():
+        require_regular(path)
+    found = _reader_of(path)
+    if found is not None:
+        return FileSource(found, path)
     if path.is_dir():
-        return MinariSource(path) if is_minari_folder(path) else FolderSource(path)
-    reader = _BY_SUFFIX.get(path.suffix.lower())
-    if reader is None:
-        raise DemonstrationError(path, f"has the unknown suffix {path.suffix!r}", _FORMS)
-    return reader(path)
+        return FolderSource(path)
+    raise _unknown(path)
+
+
+def forms() -> str:
+    """What can be opened, for messages."""
+    known = "; ".join(reader.form for reader in find_readers())
+    return f"Use {BUNDLED}, {known}; or a folder of these"
+
+
+def _reader_of(path: Path) -> Reader | None:
+    if not (path.is_file() or path.is_dir()):
+        return None  # looking into a FIFO waits for its writer
+    return next((reader for reader in find_readers() if reader.fits(path)), None)
+
+
+def _claimed(path: Path) -> bool:
+    """Whether a name says that this is a demonstration file, so that damage must not hide it."""
+    suffixes = {suffix for reader in find_readers() for suffix in reader.suffixes}
+    return not path.is_dir() and (
+        is_hdf5(path) or path.suffix.lower() in {*suffixes, *HDF5_SUFFIXES}
+    )
+
+
+def _unknown(path: Path) -> DemonstrationError:
+    if is_hdf5(path):
+        with open_hdf5(path) as file:  # says what is wrong with it, if anything is
+            found = ", ".join(sorted(file)) or "nothing"
+        return DemonstrationError(path, f"holds {found}, a layout that nobody knows", forms())
+    return DemonstrationError(path, f"has the unknown suffix {path.suffix!r}", forms())

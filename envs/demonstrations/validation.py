@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from envs.demonstrations.episode import Episode, Provenance
 from envs.demonstrations.errors import DemonstrationError
-from envs.door import task
-
-#: DAPG and D4RL/Minari append a door_open flag to the 38 entries of the task; it is dropped.
-FLAGGED_OBSERVATION_SIZE = task.OBSERVATION_SIZE + 1
-#: Positions and velocities of the hand (28), the door hinge and the latch.
-STATE_SIZE = 30
-#: The published human actions reach 1.37. Far beyond that the actions cannot be this task's
-#: normalised position targets: they are raw joint angles, torques, or another scaling.
-ACTION_BOUND = 3.0
-#: The published rewards hold a velocity penalty that no observation shows; it stays below this.
-REWARD_TOLERANCE = 0.05
+from envs.demonstrations.findings import Kind, Notes
+from envs.demonstrations.matrices import action_matrix, numbers, observation_matrix
+from envs.demonstrations.schema import DemoSchema
 
 
 @dataclass(frozen=True)
@@ -28,73 +21,99 @@ class RawEpisode:
     """The arrays of one episode as a file holds them, before any check.
 
     Attributes:
-        observations: [T, 38 or 39] (the last next-observation is missing) or [T + 1, 38 or 39].
-        actions: [T, 28].
+        observations: [T, ...] (the last next-observation is missing) or [T + 1, ...], or several of
+            these by name, mappings in mappings too.
+        actions: [T, ...].
         rewards: [T], or None to compute them with the task's reward.
-        door_position: [3] in metres, or None; then it is inferred from the first observation.
-        qpos: [30] before the first action, or None.
-        qvel: [30] before the first action, or None.
+        terminated: [T], or None where the file does not say.
+        start: vectors of the schema's ``start`` that the file holds, by their names in the schema.
+        success: after every action [T], or at every observation [T + 1]; None where nobody knows.
+        progress: at every observation [T + 1], or None.
+        executed_actions: [T, A], what was executed where that is not ``actions``, or None.
+        normalised: the actions are in [-1, 1] already, whatever units the schema names for files.
     """
 
-    observations: ArrayLike
+    observations: ArrayLike | Mapping[str, Any]
     actions: ArrayLike
     rewards: ArrayLike | None = None
-    door_position: ArrayLike | None = None
-    qpos: ArrayLike | None = None
-    qvel: ArrayLike | None = None
+    terminated: ArrayLike | None = None
+    start: Mapping[str, ArrayLike] = field(default_factory=dict)
+    success: ArrayLike | None = None
+    progress: ArrayLike | None = None
+    executed_actions: ArrayLike | None = None
+    normalised: bool = False
 
 
-def build_episode(raw: RawEpisode, provenance: Provenance, where: str) -> Episode:
-    """Check one raw episode and bring it into the project's form.
+def build_episode(
+    raw: RawEpisode,
+    provenance: Provenance,
+    where: str,
+    schema: DemoSchema,
+    notes: Notes | None = None,
+) -> Episode:
+    """Check one raw episode against the task's schema and bring it into the project's form.
 
-    Observations of 39 entries lose the last one. Where the file has as many observations as actions
-    the observation after the last action was never stored, so the last action is dropped. The
-    episode ends at the first observation that is terminal in our task (|palm - handle| > 1 m).
+    Observations become one vector per step (`envs.demonstrations.flattening`) and lose the columns
+    that only the schema's other widths have. Actions are rescaled to [-1, 1]. Where the file has as
+    many observations as actions, the observation after the last action was never stored, so the
+    last action is dropped. The episode ends at the first observation that is terminal in the task.
 
     Args:
         raw: the arrays as the file holds them.
         provenance: goes into the episode unchanged.
         where: file and episode, for the error messages.
+        schema: of the task.
+        notes: take down what has been dropped or changed.
 
     Returns:
-        The validated episode.
+        The validated episode. Its rewards are NaN where neither the file nor the schema has any:
+        re-simulation may still tell them (`envs.demonstrations.loading` refuses what is left).
 
     Raises:
-        DemonstrationError: wrong shape or dtype, NaN or infinity, actions beyond `ACTION_BOUND`,
-            or fewer than two observations.
+        DemonstrationError: wrong shape or dtype, NaN, infinity or what float32 cannot hold, actions
+            beyond the schema's bound, or fewer than two observations.
     """
-    observations = _matrix(
-        raw.observations, "observations", where, (task.OBSERVATION_SIZE, FLAGGED_OBSERVATION_SIZE)
-    )[:, : task.OBSERVATION_SIZE].astype(np.float32)
-    actions = _matrix(raw.actions, "actions", where, (task.ACTION_SIZE,))
+    notes = Notes() if notes is None else notes
+    observations = observation_matrix(raw.observations, where, schema, notes)
+    actions = action_matrix(raw.actions, where, schema, normalised=raw.normalised)
+    executed = _executed(raw, len(actions), where, schema)
     steps = _transition_count(len(observations), len(actions), where)
-    _check_action_range(actions, where)
+    notes.add(Kind.LAST_ACTION, len(actions) - steps, where)
 
-    terminated = task.terminated(observations[1 : steps + 1])
+    terminated = _terminated(raw, observations, len(actions), steps, where, schema)
     if terminated.any():
         # Nothing after a terminal observation is a transition of this task.
-        steps = int(terminated.argmax()) + 1
+        kept = int(terminated.argmax()) + 1
+        notes.add(Kind.AFTER_END, steps - kept, where)
+        steps = kept
     observations = observations[: steps + 1]
-    if raw.rewards is None:
-        rewards = task.reward(observations[1:]).astype(np.float64)
-    else:
-        rewards = _rewards(raw.rewards, len(actions), where)[:steps]
+    notes.add(Kind.CLIPPED, int((np.abs(actions[:steps]) > 1.0).sum()), where)
     return Episode(
         observations=observations,
         actions=actions[:steps].astype(np.float32),
-        rewards=np.asarray(rewards, dtype=np.float32),
-        terminated=np.asarray(terminated[:steps], dtype=np.bool_),
+        rewards=_rewards(raw, observations, len(actions), where, schema, notes)[:steps],
+        terminated=terminated[:steps],
         provenance=provenance,
-        door_position=_optional_vector(raw.door_position, "door position", 3, where),
-        initial_qpos=_optional_vector(raw.qpos, "qpos", STATE_SIZE, where),
-        initial_qvel=_optional_vector(raw.qvel, "qvel", STATE_SIZE, where),
+        start={
+            key.name: _vector(raw.start[key.name], key.name, key.size, where)
+            for key in schema.start
+            if key.name in raw.start
+        },
+        success=_success(raw, observations, len(actions), where, schema, notes),
+        progress=_progress(raw, observations, len(actions), where, schema, notes),
+        executed_actions=None if executed is None else executed[:steps],
     )
 
 
-def reward_agreement(episode: Episode) -> float:
-    """Share of steps whose recorded reward is within `REWARD_TOLERANCE` of the task's reward."""
-    ours = task.reward(episode.observations[1:])
-    return float(np.mean(np.abs(ours - episode.rewards) <= REWARD_TOLERANCE))
+def reward_agreement(episode: Episode, schema: DemoSchema) -> float:
+    """Share of steps whose recorded reward is the task's, within the schema's tolerance.
+
+    NaN where the task has no reward to compare with.
+    """
+    if schema.reward is None:
+        return float("nan")
+    ours = np.asarray(schema.reward(episode.observations[1:]), dtype=np.float64)
+    return float(np.mean(np.abs(ours - episode.rewards) <= schema.reward_tolerance))
 
 
 def require_keys(
@@ -107,40 +126,10 @@ def require_keys(
         raise DemonstrationError(where, f"lacks {', '.join(missing)} (found: {found})", remedy)
 
 
-def _numbers(value: ArrayLike, name: str, where: str) -> NDArray[np.float64]:
-    try:
-        array = np.asarray(value)
-    except ValueError as error:
-        raise DemonstrationError(
-            where, f"{name} is ragged ({error})", "Store one rectangular array per episode"
-        ) from error
-    if array.dtype.kind not in "fiub":
-        raise DemonstrationError(
-            where, f"{name} has dtype {array.dtype}", "Store real numbers, e.g. float32"
-        )
-    result = array.astype(np.float64)
-    if not np.isfinite(result).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
-        raise DemonstrationError(
-            where,
-            f"{name}{list(index)} is {result[index]}",
-            "Remove or repair this episode: NaN and infinity poison every later update",
-        )
-    return result
-
-
-def _matrix(
-    value: ArrayLike, name: str, where: str, widths: tuple[int, ...]
-) -> NDArray[np.float64]:
-    array = _numbers(value, name, where)
-    if array.ndim != 2 or array.shape[1] not in widths:
-        expected = " or ".join(f"[T, {width}]" for width in widths)
-        raise DemonstrationError(
-            where,
-            f"{name} has shape {list(array.shape)}, expected {expected}",
-            "Only demonstrations of the Adroit door (38-d or 39-d observations, 28-d actions) fit",
-        )
-    return array
+def found_start(state: Mapping[str, ArrayLike], schema: DemoSchema) -> dict[str, ArrayLike]:
+    """The vectors of the schema's ``start`` that ``state`` holds under any of their names."""
+    named = {key.name: next((n for n in key.names if n in state), None) for key in schema.start}
+    return {name: state[found] for name, found in named.items() if found is not None}
 
 
 def _transition_count(observations: int, actions: int, where: str) -> int:
@@ -157,35 +146,109 @@ def _transition_count(observations: int, actions: int, where: str) -> int:
     return observations - 1
 
 
-def _check_action_range(actions: NDArray[np.float64], where: str) -> None:
-    largest = float(np.abs(actions).max())
-    if largest > ACTION_BOUND:
-        raise DemonstrationError(
-            where,
-            f"has an action entry of magnitude {largest:.3g}, beyond {ACTION_BOUND}",
-            "Actions must be normalised position targets in [-1, 1] (slight excess is clipped)",
-        )
-
-
-def _rewards(value: ArrayLike, steps: int, where: str) -> NDArray[np.float64]:
-    rewards = _numbers(value, "rewards", where)
-    if rewards.shape == (steps, 1):
-        rewards = rewards[:, 0]
-    if rewards.shape != (steps,):
-        raise DemonstrationError(
-            where,
-            f"rewards has shape {list(rewards.shape)}, expected [{steps}]",
-            "Store one reward per action",
-        )
-    return rewards
-
-
-def _optional_vector(
-    value: ArrayLike | None, name: str, size: int, where: str
-) -> NDArray[np.float64] | None:
-    if value is None:
+def _executed(
+    raw: RawEpisode, actions: int, where: str, schema: DemoSchema
+) -> NDArray[np.float32] | None:
+    if raw.executed_actions is None:
         return None
-    vector = _numbers(value, name, where)
+    executed = action_matrix(raw.executed_actions, where, schema, normalised=raw.normalised)
+    if len(executed) != actions:
+        raise DemonstrationError(
+            where,
+            f"has {len(executed)} executed_actions for {actions} actions",
+            "Store one executed action per action, or none at all",
+        )
+    return executed.astype(np.float32)
+
+
+def _terminated(
+    raw: RawEpisode,
+    observations: NDArray[np.float32],
+    actions: int,
+    steps: int,
+    where: str,
+    schema: DemoSchema,
+) -> NDArray[np.bool_]:
+    if schema.terminated is not None:
+        return np.asarray(schema.terminated(observations[1 : steps + 1]), dtype=np.bool_)
+    if raw.terminated is None:
+        return np.zeros(steps, dtype=np.bool_)
+    return _column(raw.terminated, "terminated", (actions,), where)[:steps].astype(np.bool_)
+
+
+def _rewards(
+    raw: RawEpisode,
+    observations: NDArray[np.float32],
+    actions: int,
+    where: str,
+    schema: DemoSchema,
+    notes: Notes,
+) -> NDArray[np.float32]:
+    if raw.rewards is not None:
+        return _column(raw.rewards, "rewards", (actions,), where).astype(np.float32)
+    notes.add(Kind.NO_REWARDS, 1, where)
+    if schema.reward is not None:
+        return np.asarray(schema.reward(observations[1:]), dtype=np.float32)
+    return np.full(len(observations) - 1, np.nan, dtype=np.float32)
+
+
+def _success(
+    raw: RawEpisode,
+    observations: NDArray[np.float32],
+    actions: int,
+    where: str,
+    schema: DemoSchema,
+    notes: Notes,
+) -> NDArray[np.bool_] | None:
+    if schema.success is not None:
+        return np.asarray(schema.success(observations), dtype=np.bool_)
+    if raw.success is None:
+        return None
+    found = _column(raw.success, "success", None, where).astype(np.bool_)
+    if len(found) == actions:
+        # One flag after each action says nothing of the beginning, which is no success.
+        found = np.concatenate([[False], found])
+    if len(found) != actions + 1:
+        notes.add(Kind.UNALIGNED, 1, f"{where}, success [{len(found)}] for {actions} actions")
+        return None
+    return found[: len(observations)]
+
+
+def _progress(
+    raw: RawEpisode,
+    observations: NDArray[np.float32],
+    actions: int,
+    where: str,
+    schema: DemoSchema,
+    notes: Notes,
+) -> NDArray[np.float32] | None:
+    if schema.progress is not None:
+        return np.asarray(schema.progress(observations), dtype=np.float32)
+    if raw.progress is None:
+        return None
+    found = _column(raw.progress, "progress", None, where).astype(np.float32)
+    if len(found) != actions + 1:
+        notes.add(Kind.UNALIGNED, 1, f"{where}, progress [{len(found)}] for {actions} actions")
+        return None
+    return found[: len(observations)]
+
+
+def _column(
+    value: ArrayLike, name: str, sizes: tuple[int, ...] | None, where: str
+) -> NDArray[np.float64]:
+    column = numbers(value, name, where)
+    if column.ndim == 2 and column.shape[1] == 1:
+        column = column[:, 0]
+    if column.ndim != 1 or (sizes is not None and len(column) not in sizes):
+        expected = "" if sizes is None else f", expected {' or '.join(f'[{n}]' for n in sizes)}"
+        raise DemonstrationError(
+            where, f"{name} has shape {list(column.shape)}{expected}", "Store one per action"
+        )
+    return column
+
+
+def _vector(value: ArrayLike, name: str, size: int, where: str) -> NDArray[np.float64]:
+    vector = numbers(value, name, where, single=False)
     if vector.shape != (size,):
         raise DemonstrationError(
             where, f"{name} has shape {list(vector.shape)}, expected [{size}]", "Repair the file"

@@ -8,8 +8,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from envs.adroit.render import HandRenderer
 from envs.door import task
-from envs.door.render import DoorRenderer
 from envs.door.simulator import DoorSimulator
 from envs.door.starts import sample_door_position
 
@@ -28,7 +28,7 @@ class AdroitDoorEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         render_mode: None or ``rgb_array``.
         width: Picture width, pixels.
         height: Picture height, pixels.
-        camera_name: Camera of the scene, see `envs.door.render`.
+        camera_name: Camera of the scene, see `envs.adroit.render`.
 
     Raises:
         ValueError: If the render mode is unknown.
@@ -54,7 +54,7 @@ class AdroitDoorEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._picture = (width, height, camera_name)
         self._simulator = DoorSimulator(1)
         # Made on the first picture: a training run without pictures needs no OpenGL.
-        self._renderer: DoorRenderer | None = None
+        self._renderer: HandRenderer | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -104,7 +104,7 @@ class AdroitDoorEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self.render_mode is None:
             return None
         if self._renderer is None:
-            self._renderer = DoorRenderer(self._simulator, *self._picture)
+            self._renderer = HandRenderer(self._simulator, *self._picture)
         return self._renderer.render()
 
     def close(self) -> None:

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import binomtest
 
 from envs.door.task import OPEN_THRESHOLDS, SUCCESS_ANGLE
+from envs.intervals import wilson
 
 ZERO_TOLERANCE_RAD: Final = 0.05
 """Hinge angle (rad) above which a door counts as "> 0", i.e. not a failure.
@@ -87,8 +87,8 @@ def summarise(
     lengths: ArrayLike,
     *,
     zero_tolerance_rad: float = ZERO_TOLERANCE_RAD,
-    nearest_m: ArrayLike | None = None,
-    widest_latch_rad: ArrayLike | None = None,
+    reached: ArrayLike | None = None,
+    latch_turned: ArrayLike | None = None,
 ) -> DoorMetrics:
     """Summarise episodes.
 
@@ -98,8 +98,8 @@ def summarise(
         returns: Undiscounted return of each episode, shape [E].
         lengths: Control steps of each episode, shape [E], each in 1..T.
         zero_tolerance_rad: Hinge angle above which a door counts as opened at all, rad.
-        nearest_m: Smallest distance between palm and handle of each episode, shape [E], m.
-        widest_latch_rad: Largest latch angle of each episode, shape [E], rad.
+        reached: Whether the palm ever came within `REACHED_M` of the handle, bool [E].
+        latch_turned: Whether the latch was ever turned past `LATCH_TURNED_RAD`, bool [E].
 
     Returns:
         The summary.
@@ -129,33 +129,24 @@ def summarise(
         angle_mean_deg=math.degrees(widest.mean()),
         angle_mean_deg_opened=math.degrees(widest[opened].mean()) if opened.any() else None,
         share_gt_0=float(opened.mean()),
-        share_gt_0_ci95=_wilson(opened),
+        share_gt_0_ci95=wilson(opened),
         share_gt_0_2=float(above[0].mean()),
-        share_gt_0_2_ci95=_wilson(above[0]),
+        share_gt_0_2_ci95=wilson(above[0]),
         share_gt_1_0=float(above[1].mean()),
-        share_gt_1_0_ci95=_wilson(above[1]),
+        share_gt_1_0_ci95=wilson(above[1]),
         share_gt_1_35=float(above[2].mean()),
-        share_gt_1_35_ci95=_wilson(above[2]),
+        share_gt_1_35_ci95=wilson(above[2]),
         success_once=float(opens.mean()),
         success_at_end=float(at_end.mean()),
-        success_at_end_ci95=_wilson(at_end),
+        success_at_end_ci95=wilson(at_end),
         success_dapg=float(long_enough.mean()),
-        success_dapg_ci95=_wilson(long_enough),
+        success_dapg_ci95=wilson(long_enough),
         steps_to_open_median=float(np.median(first_open_step[opens])) if opens.any() else None,
-        share_reached=(
-            None if nearest_m is None else float((np.asarray(nearest_m) < REACHED_M).mean())
-        ),
-        share_latch_turned=(
-            None
-            if widest_latch_rad is None
-            else float((np.asarray(widest_latch_rad) > LATCH_TURNED_RAD).mean())
-        ),
+        share_reached=None if reached is None else float(np.asarray(reached, dtype=bool).mean()),
+        share_latch_turned=None
+        if latch_turned is None
+        else float(np.asarray(latch_turned, dtype=bool).mean()),
     )
-
-
-def _wilson(happened: NDArray[np.bool_]) -> tuple[float, float]:
-    interval = binomtest(int(happened.sum()), happened.size).proportion_ci(0.95, method="wilson")
-    return float(interval.low), float(interval.high)
 
 
 def _checked(

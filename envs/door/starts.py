@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from envs.adroit.starts import episode_rng
 from envs.door.task import DOOR_POSITION_HIGH, DOOR_POSITION_LOW
 
 
@@ -23,15 +24,7 @@ def sample_door_position(rng: np.random.Generator) -> NDArray[np.float64]:
 def door_position(seed: int, door: int, episode: int) -> NDArray[np.float64]:
     """Position of the door in episode `episode` (from 0) of door `door`, shape [3], m.
 
-    A stream per door that is addressed by number instead of being stored: what a door sees depends
-    neither on how many doors there are nor on when the others reset, and resuming a run needs the
-    seed and the episode counters only.
-
     Raises:
         ValueError: If a number is negative.
     """
-    if min(seed, door, episode) < 0:
-        raise ValueError(f"seed, door and episode must be >= 0, got {seed}, {door}, {episode}")
-    return sample_door_position(
-        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(door, episode)))
-    )
+    return sample_door_position(episode_rng(seed, door, episode))

@@ -24,6 +24,8 @@ HORIZON: Final = 200
 
 HAND_QPOS: Final = slice(0, 27)
 """Arm, wrist and finger joint positions, rad. The arm's sliding joint ARTz is not observed."""
+WRIST_AND_FINGERS: Final = slice(3, 27)
+"""Of these the joints of wrist and fingers, which make up a posture whatever stands where, rad."""
 LATCH: Final = 27
 """Latch angle, rad."""
 HINGE: Final = 28

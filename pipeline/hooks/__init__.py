@@ -6,7 +6,9 @@ from pipeline.hooks.demo_update import DemoUpdateHook
 from pipeline.hooks.episodes import EpisodeHook
 from pipeline.hooks.evaluate import EvaluationHook
 from pipeline.hooks.grown import GrownHook
+from pipeline.hooks.portion_guard import PortionGuard
 from pipeline.hooks.store import StoreHook
+from pipeline.hooks.updates import UpdatesHook
 
 __all__ = [
     "ActorAverageHook",
@@ -15,5 +17,7 @@ __all__ = [
     "EpisodeHook",
     "EvaluationHook",
     "GrownHook",
+    "PortionGuard",
     "StoreHook",
+    "UpdatesHook",
 ]

@@ -8,14 +8,24 @@ from collections.abc import Sequence
 from copy import deepcopy
 from typing import Any
 
+from pydantic.dataclasses import dataclass as settings
 from scipy.stats import binomtest
 from torch import nn
 from torchrl.trainers import Trainer, TrainerHookBase
 
-from envs.door.task import SUCCESS_ANGLE
-from pipeline.episodes import FinishedEpisode
+from pipeline.data.episodes import FinishedEpisode
+from pipeline.settings import STRICT, Count, Share
 
 _logger = logging.getLogger(__name__)
+
+
+@settings(frozen=True, kw_only=True, config=STRICT)
+class BacktrackSettings:
+    """Return to the last good policy when training episodes begin to fail."""
+
+    level: Share | None = None  # of the test for it, in (0, 1); None = never go back
+    window: Count = 10  # episodes that are judged together
+    memory: Count = 100  # episodes before them that say what is usual
 
 
 class BacktrackHook(TrainerHookBase):
@@ -63,7 +73,7 @@ class BacktrackHook(TrainerHookBase):
 
     def __call__(self, episode: FinishedEpisode, frame: int) -> None:
         """Takes one finished training episode; goes back at most once per window."""
-        self.window.append(episode.max_angle > SUCCESS_ANGLE)
+        self.window.append(bool(episode.success))
         if len(self.window) < (self.window.maxlen or 0):
             return
         successes, episodes = sum(self.window), len(self.window)
@@ -82,7 +92,7 @@ class BacktrackHook(TrainerHookBase):
         for module, weights in zip(self.modules, self._good, strict=True):
             module.load_state_dict(weights)
         self.count += 1
-        _logger.info("back to the last good policy: %s opened the door", seen)
+        _logger.info("back to the last good policy: %s succeeded", seen)
 
     def _weights(self) -> list[dict[str, Any]]:
         return [deepcopy(module.state_dict()) for module in self.modules]

@@ -6,7 +6,7 @@ from typing import Any
 
 from torchrl.trainers import OptimizationStepper, Trainer, TrainerHookBase
 
-from pipeline.mixture import Mixture
+from pipeline.data.mixture import Mixture
 
 
 class DemoUpdateHook(TrainerHookBase):

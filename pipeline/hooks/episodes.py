@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -12,8 +11,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.trainers import Trainer, TrainerHookBase
 
-from envs.door.task import SUCCESS_ANGLE
-from pipeline.episodes import EpisodeAssembler, FinishedEpisode
+from pipeline.data.episodes import EpisodeAssembler, FinishedEpisode
 
 WINDOW = 20  # episodes in the running averages
 
@@ -47,8 +45,8 @@ class EpisodeHook(TrainerHookBase):
         frames = 0 if self._trainer is None else self._trainer.collected_frames + batch.numel()
         for episode in self.assembler(batch):
             self.returns.append(episode.episode_return)
-            if not math.isnan(episode.max_angle):
-                self.successes.append(float(episode.max_angle > SUCCESS_ANGLE))
+            if episode.success is not None:
+                self.successes.append(float(episode.success))
             for consumer in self.consumers:
                 consumer(episode, frames)
         return batch

@@ -8,8 +8,8 @@ import numpy as np
 from tensordict import TensorDictBase
 from torchrl.trainers import Trainer, TrainerHookBase
 
-from pipeline.buffers import GrownDemonstrations
-from pipeline.harvest import MovingBound
+from pipeline.data.buffers import GrownDemonstrations
+from pipeline.data.harvest import MovingBound
 
 
 class GrownHook(TrainerHookBase):

@@ -6,26 +6,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-
-from configs.schema import Config
+from pipeline.files.run_files import CONFIG, write_atomically
 from pipeline.policy import WEIGHTS, load_policy, save_weights
+from pipeline.recipe import Recipe
 from pipeline.results.rows import Seed
-from pipeline.run_dir import CONFIG, load_config, write_atomically
+from pipeline.run_dir import load_recipe, save_recipe
 
 CARD = "README.md"
 SHOWN = {
-    "share_gt_1_35": "doors above 1.35 rad",
-    "share_gt_0_2": "doors above 0.2 rad",
+    "success_once": "share of episodes that succeed",
+    "success_at_end": "share that are successful at their last step",
     "return_mean": "return",
-    "angle_mean_deg": "largest angle, degrees",
-    "steps_to_open_median": "steps until 1.35 rad, median",
+    "steps_to_success_median": "steps until success, median",
 }
 
 
 def exported_seed(folder: Path) -> int | None:
     """The seed of the policy that ``folder`` holds; None if it holds none."""
-    return int(load_config(folder).seed) if (folder / WEIGHTS).is_file() else None
+    return int(load_recipe(folder).seed) if (folder / WEIGHTS).is_file() else None
 
 
 def export_policy(seed: Seed, run_dir: Path, folder: Path, *, name: str) -> None:
@@ -40,26 +38,21 @@ def export_policy(seed: Seed, run_dir: Path, folder: Path, *, name: str) -> None
     Raises:
         FileNotFoundError, ValueError: As ``load_policy``.
     """
-    config = load_config(run_dir)
-    policy, origin = load_policy(config, run_dir)
+    recipe = load_recipe(run_dir)
+    policy, origin = load_policy(recipe, recipe.find_task(), run_dir)
     folder.mkdir(parents=True, exist_ok=True)
     save_weights(policy, folder / WEIGHTS, frames=origin.frames)
     # Of the paths only names stay: others have other folders, and other machines.
-    portable = OmegaConf.merge(
-        config,
-        {
-            "run_dir": folder.name,
-            "resume": None,
-            "cache_dir": Config.cache_dir,
-            "demos": {"source": Path(config.demos.source).name},
-            "torch_threads": None,
-            "compile_updates": None,
-            "onednn": None,
-            "env": {"num_threads": None},
-        },
+    portable = recipe.changed(
+        cache_dir=Recipe.cache_dir,
+        demos={"source": Path(recipe.demos.source).name},
+        torch_threads=None,
+        compile_updates=None,
+        onednn=None,
+        env={"num_threads": None},
     )
-    write_atomically(folder / CONFIG, OmegaConf.to_yaml(portable, resolve=True))
-    write_atomically(folder / CARD, _card(seed, config, name, origin.frames))
+    save_recipe(folder, portable)
+    write_atomically(folder / CARD, _card(seed, recipe, name, origin.frames))
 
 
 def _action(made_from: Mapping[str, Any]) -> str:
@@ -68,7 +61,7 @@ def _action(made_from: Mapping[str, Any]) -> str:
     return f"sampled action, its noise times {made_from.get('noise_scale', 1.0):g}"
 
 
-def _card(seed: Seed, config: Config, name: str, frames: int) -> str:
+def _card(seed: Seed, recipe: Recipe, name: str, frames: int) -> str:
     evaluation = seed.evaluation
     figures = "\n".join(
         f"| {label} | {evaluation[key]:.4g} |"
@@ -78,16 +71,16 @@ def _card(seed: Seed, config: Config, name: str, frames: int) -> str:
     made_from = evaluation["made_from"]
     return f"""# Policy `{name}`
 
-Opens the door of the paper's task: 38 observations in, 28 actions in (-1, 1) out, 100 Hz position control.
+Of the task `{recipe.task.name}`.
 
 | | |
 |---|---|
-| variant, preset, seed | {config.variant}, {config.preset}, {config.seed} |
+| variant, preset, seed | {recipe.variant}, {recipe.preset}, {recipe.seed} |
 | frames | {frames} |
-| demonstrations | {Path(config.demos.source).name}{", multiplied" if config.demos.multiply.enabled else ""} |
-| network | {" x ".join(str(width) for width in config.actor.hidden)} |
+| demonstrations | {Path(recipe.demos.source).name}{", multiplied" if recipe.demos.multiply.enabled else ""} |
+| network | {" x ".join(str(width) for width in recipe.actor.hidden)} |
 {figures}
 
-Over {evaluation["episodes"]} doors, evaluation seed {made_from["evaluation_seed"]}, {_action(made_from)}. Again: `make eval RUN=docs/results/policies/{name}`.
+Over {evaluation["episodes"]} episodes, evaluation seed {made_from["evaluation_seed"]}, {_action(made_from)}. Again: `make eval RUN=docs/results/policies/{name}`.
 Weights are in `{WEIGHTS}` (safetensors: tensors only), the configuration in `{CONFIG}`.
 """  # noqa: E501 - lines of Markdown

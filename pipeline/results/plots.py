@@ -11,23 +11,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pipeline.files.run_files import RunDirectoryError
+from pipeline.results.curves import on_grid
 from pipeline.results.rows import ResultRow
-from pipeline.results.statistics import interquartile_means, on_grid
-from pipeline.run_dir import RunDirectoryError
+from pipeline.results.statistics import interquartile_means
 
 POINTS = 60
 """Of a curve over wall time."""
 DPI = 90
 AXES: Mapping[str, str] = {"frames": "environment frames", "wall_s": "wall time (min)"}
 SCORES: Mapping[str, str] = {
-    "share_gt_1_35": "doors above 1.35 rad",
+    "success_once": "share of episodes that succeed",
     "return_mean": "return",
 }
 PANELS: Sequence[tuple[str, Sequence[str], bool]] = (
-    ("stage reached (share of doors)", (
-        "share_reached", "share_latch_turned", "share_gt_0_2", "share_gt_1_0", "share_gt_1_35",
-        "train_success",
-    ), False),
+    ("share of episodes", ("success_once", "success_at_end", "train_success"), False),
     ("gradient on the actor", ("grad_norm_rl", "grad_norm_bc"), True),
     ("cosine of the two gradients", ("grad_cosine",), False),
     ("values in demonstrated states", ("q_demo_actions", "q_policy_actions"), False),
@@ -98,10 +96,13 @@ def _curve(axis: Axes, row: ResultRow, x: str, key: str, colour: Any) -> None:
     places = [_column(seed.curve, x) for seed in row.seeds]
     end = min(place[-1] for place in places)
     grid = np.unique(places[0][places[0] <= end]) if x == "frames" else np.linspace(0, end, POINTS)
-    values = [
-        on_grid(place.tolist(), _column(seed.curve, key).tolist(), grid)
-        for place, seed in zip(places, row.seeds, strict=True)
-    ]
+    values = []
+    for place, seed in zip(places, row.seeds, strict=True):
+        column = _column(seed.curve, key)
+        known = np.isfinite(place) & np.isfinite(column)
+        if not known.any():
+            return  # the task does not tell it
+        values.append(on_grid(place[known].tolist(), column[known].tolist(), grid))
     estimate = interquartile_means({row.name: values})[row.name]
     shown = grid if x == "frames" else grid / 60.0
     axis.plot(shown, estimate.iqm, color=colour, label=f"{row.name} ({len(row.seeds)})")

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.files.run_files import as_json, write_atomically
 from pipeline.results.export import export_policy, exported_seed
 from pipeline.results.plots import AXES, plot_curves, plot_diagnostics
 from pipeline.results.rows import ROWS, ResultRow, load_published, load_rows, merge_rows
+from pipeline.results.run_tables import reference_of
 from pipeline.results.tables import render_rows, render_summary
-from pipeline.run_dir import write_atomically
 
 TABLE = "table.json"
 TABLES = "tables.md"
@@ -60,9 +61,10 @@ def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
             _export(row, out / POLICIES / row.name)
     for x in AXES:
         plot_curves(rows, x, out / f"curves_{x}.png")
-    write_atomically(out / TABLE, json.dumps(table(rows), indent=1) + "\n")
-    write_atomically(out / TABLES, render_rows(rows) + "\n")
-    write_atomically(out / SUMMARY, render_summary(rows) + "\n")
+    write_atomically(out / TABLE, as_json(table(rows), indent=1) + "\n")
+    reference = reference_of([seed.evaluation for row in rows for seed in row.seeds])
+    write_atomically(out / TABLES, render_rows(rows, reference) + "\n")
+    write_atomically(out / SUMMARY, render_summary(rows, reference) + "\n")
     return rows
 
 
@@ -99,5 +101,5 @@ def _place(name: str) -> int:
 
 def _compact(content: dict[str, Any]) -> str:
     """One line for each entry, so that curves stay readable in a diff."""
-    lines = (f"{json.dumps(key)}: {json.dumps(value)}" for key, value in content.items())
+    lines = (f"{json.dumps(key)}: {as_json(value)}" for key, value in content.items())
     return "{\n" + ",\n".join(lines) + "\n}\n"

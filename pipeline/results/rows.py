@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.evaluate_run import load_evaluation
-from pipeline.run_dir import ALARMS, EVALUATION, LEARNING_CURVE, RunDirectoryError
+from pipeline.files.curves import in_order, read_lines
+from pipeline.files.run_files import ALARMS, EVALUATION, LEARNING_CURVE, RunDirectoryError
+from pipeline.results.evaluation_files import load_evaluation
 
 SEED = "seed"
 ROWS = "rows"
@@ -53,6 +53,7 @@ class Seed:
         made_from = {**self.evaluation["made_from"]}
         made_from["run"] = Path(made_from["run"]).name
         made_from["demos"] = Path(made_from["demos"]).name
+        made_from.pop("overrides", None)  # what they changed is said by the other entries
         columns = {key: None for row in self.curve for key in row}
         return {
             **self.evaluation,
@@ -123,21 +124,33 @@ def load_published(folder: Path) -> list[ResultRow]:
     """
     rows: dict[str, list[Seed]] = {}
     for path in sorted((folder / ROWS).glob(f"*/{SEED}*.json")):
-        content = load_evaluation(path)
-        try:
-            curve, alarms = content.pop("curve"), content.pop("alarms")
-            points = zip(*curve.values(), strict=True)
-            seed = Seed(
-                content, tuple(dict(zip(curve, p, strict=True)) for p in points), tuple(alarms)
-            )
-            rows.setdefault(path.parent.name, []).append(seed)
-        except (KeyError, AttributeError, TypeError, ValueError) as error:
-            raise RunDirectoryError(
-                f"{path} is not a published run ({error}); restore or remove it"
-            ) from error
+        seed = parse_published(path, load_evaluation(path))
+        rows.setdefault(path.parent.name, []).append(seed)
     return [
         ResultRow(name, tuple(sorted(seeds, key=lambda s: s.seed))) for name, seeds in rows.items()
     ]
+
+
+def parse_published(path: Path, content: Mapping[str, Any]) -> Seed:
+    """The run of which a published file tells.
+
+    Args:
+        path: For messages.
+        content: Of the file.
+
+    Raises:
+        RunDirectoryError: If it is damaged.
+    """
+    try:
+        evaluation = dict(content)
+        curve, alarms = evaluation.pop("curve"), evaluation.pop("alarms")
+        points = zip(*curve.values(), strict=True)
+        rows = in_order(dict(zip(curve, point, strict=True)) for point in points)
+        return Seed(evaluation, tuple(rows), tuple(alarms))
+    except (KeyError, AttributeError, TypeError, ValueError) as error:
+        raise RunDirectoryError(
+            f"{path} is not a published run ({error}); restore or remove it"
+        ) from error
 
 
 def merge_rows(earlier: Sequence[ResultRow], later: Sequence[ResultRow]) -> list[ResultRow]:
@@ -172,13 +185,6 @@ def _require_one_recipe(row: ResultRow) -> None:
                     f"seed {other['seed']} has {other.get(key)!r}; publish to another folder "
                     f"(OUT=...), or remove {ROWS}/{row.name} from this one"
                 )
-
-
-def read_lines(path: Path) -> list[dict[str, Any]]:
-    """Rows of a JSON-lines file of a run; none if there is no such file."""
-    if not path.is_file():
-        return []
-    return [json.loads(line) for line in path.read_text().splitlines()]
 
 
 def _short(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,17 +56,3 @@ def interquartile_means(curves: Mapping[str, ArrayLike]) -> dict[str, Estimate]:
     finally:
         np.random.set_state(state)
     return {n: Estimate(points[n], intervals[n][0], intervals[n][1]) for n in scores}
-
-
-def on_grid(x: Sequence[float], y: Sequence[float], grid: ArrayLike) -> Floats:
-    """The curve ``y(x)`` read at ``grid`` [T]: the last value measured by then.
-
-    Before the first measurement it is the first one, since every run is measured at its start.
-
-    Args:
-        x: Increasing, shape [N].
-        y: Shape [N].
-        grid: Shape [T].
-    """
-    index = np.searchsorted(np.asarray(x, dtype=np.float64), np.asarray(grid), side="right") - 1
-    return np.asarray(y, dtype=np.float64)[np.clip(index, 0, None)]

@@ -1,0 +1,42 @@
+"""Who touches what: what a task records of contacts, for telling how its policies go about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+FORCES: Final = "contact_forces"
+"""Column of an environment that records contacts: normal forces [N, P * K], N, by hand part and
+target, in the order of `Contacts`."""
+OPPOSITION: Final = "opposition"
+"""Likewise [N, 1]: the cosine between what pushes the thumb and what pushes the rest of the hand,
+on the targets that are held; -1 is a grasp from opposite sides, 0 also where one is missing."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """What an environment of a task records with `EnvOptions.contacts`.
+
+    Attributes:
+        parts: of the hand, in their order, P.
+        thumb: the part that can oppose the others.
+        targets: what can be touched, in their order, K.
+        held: those of them by which a hand leads.
+        begins: progress, from that of an episode's first step, at which the travel begins.
+        moved: progress likewise, above which something was moved at all.
+        words: what the strategies of `pipeline.act.strategies` mean here.
+    """
+
+    parts: tuple[str, ...]
+    thumb: str
+    targets: tuple[str, ...]
+    held: tuple[str, ...]
+    begins: float
+    moved: float
+    words: Mapping[str, str]
+
+    def __post_init__(self) -> None:
+        strangers = {*self.held} - {*self.targets} or {self.thumb} - {*self.parts}
+        if strangers:
+            raise ValueError(f"{sorted(strangers)} is held or opposes, and cannot be touched")

@@ -1,0 +1,137 @@
+"""What an environment turns out to be, from making one copy and taking a few steps."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+from envs.flatten import Flattener, UnsupportedSpaceError
+from envs.library.actions import ActionScale, UnsupportedActionsError
+from envs.library.copies import Layout
+from envs.library.layers import time_limit
+from envs.library.signals import FOUND, progress_signal, reward_function, success_signal
+from envs.library.single import Env, SingleEnv, quiet
+from envs.library.starts import StartState, start_state
+from envs.library.state import continues_exactly
+from envs.library.vector_env import Interface
+from envs.task import TaskFailedError
+
+STEPS: Final = 4
+PICTURES_PER_SECOND: Final = 30.0
+"""Of environments that do not say how many."""
+SEARCHED: Final = 2000
+"""Steps at most for a key of ``info`` that was asked for: some are told at an episode's end."""
+
+
+@dataclass(frozen=True)
+class Probed:
+    """An environment as it was found.
+
+    Attributes:
+        interface: how it is read and driven.
+        limit: steps until it truncates an episode; None if it never does.
+        step_s: what a step costs.
+        start: how an episode is put where a recorded one began; None if it cannot be.
+        shows: what it can be asked to show, ``rgb_array`` or ``human`` among them.
+        pictures_per_second: that it names for films, a step each.
+    """
+
+    interface: Interface
+    limit: int | None
+    step_s: float
+    start: StartState | None
+    shows: tuple[str, ...] = ()
+    pictures_per_second: float = PICTURES_PER_SECOND
+
+
+def probe(single: SingleEnv) -> Probed:
+    """Makes one copy, takes a few steps of random actions, and closes it.
+
+    Raises:
+        UnknownTaskError: it cannot be made.
+        ValueError: its spaces, or what the options ask of it, are not supported.
+        TaskFailedError: it raised.
+    """
+    options = single.options
+    reward = reward_function(options)
+    env = single()
+    try:
+        with quiet(single.name):
+            flattener, actions = _spaces(single.name, env)
+            told, step_s = _told(single.name, env)
+            signals = success_signal(options.success, told), progress_signal(options.progress)
+            for key, signal in zip(("success", "progress"), signals, strict=True):
+                if signal is not None and signal.info is not None:
+                    _require_told(single.name, env, f"task.{key}", signal.info, told)
+            info = tuple(sorted({s.info for s in signals if s is not None and s.info is not None}))
+            layout = Layout(single.name, flattener, info, actions.shape, actions.dtype)
+            interface = Interface(layout, actions, *signals, reward, _resumes(single.name, env))
+            return Probed(
+                interface,
+                time_limit(env),
+                step_s,
+                start_state(env),
+                shows=tuple(map(str, env.metadata.get("render_modes") or ())),
+                pictures_per_second=float(env.metadata.get("render_fps") or PICTURES_PER_SECOND),
+            )
+    finally:
+        env.close()
+
+
+def _spaces(name: str, env: Env) -> tuple[Flattener, ActionScale]:
+    try:
+        return Flattener.of(env.observation_space), ActionScale.of(env.action_space)
+    except (UnsupportedSpaceError, UnsupportedActionsError) as error:
+        raise type(error)(f"task {name}: {error}") from error
+
+
+def _told(name: str, env: Env) -> tuple[frozenset[str], float]:
+    """Keys of ``info`` in the first steps, and the seconds of the fastest of them."""
+    env.action_space.seed(0)
+    told = set(_tried(name, lambda: env.reset(seed=0))[1])
+    seconds = []
+    for _ in range(STEPS):
+        step = partial(env.step, env.action_space.sample())
+        began = time.perf_counter()
+        _, _, terminated, truncated, info = _tried(name, step)
+        seconds.append(time.perf_counter() - began)
+        told |= set(info)
+        if terminated or truncated:
+            _tried(name, env.reset)
+    return frozenset(told), min(seconds)
+
+
+def _require_told(name: str, env: Env, key: str, wanted: str, told: frozenset[str]) -> None:
+    if wanted in told:
+        return
+    seen = set(told)
+    _tried(name, lambda: env.reset(seed=0))
+    for _ in range(SEARCHED):
+        step = partial(env.step, env.action_space.sample())
+        _, _, terminated, truncated, info = _tried(name, step)
+        seen |= set(info)
+        if wanted in info:
+            return
+        if terminated or truncated:
+            break
+    found = ", ".join(sorted(map(str, seen))) or "nothing"
+    raise ValueError(
+        f"{key}=info:{wanted}: task {name} never told {wanted!r} in a whole episode; its info "
+        f"holds {found} (success is found by itself under {' or '.join(FOUND)})"
+    )
+
+
+def _resumes(name: str, env: Env) -> bool:
+    return bool(_tried(name, lambda: continues_exactly(env)))
+
+
+def _tried(name: str, use: Callable[[], Any]) -> Any:
+    try:
+        return use()
+    # Whatever somebody's environment raises is told in one line.
+    except Exception as error:
+        told = " ".join(f"{type(error).__name__}: {error}".split())
+        raise TaskFailedError(f"task {name}: the environment raised when tried: {told}") from error

@@ -1,0 +1,85 @@
+"""The pen task in MuJoCo."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from envs.adroit.hand import HandTask, Judged
+from envs.adroit.physics import HandStates
+from envs.adroit.scene import HandScene, Numbers, compile_model, model_path
+from envs.pen import task
+from envs.pen.contacts import CONTACTS, SURFACES
+
+ASKED_ORIENTATION: Final = "asked_orientation"
+"""How the pen is to lie, a quaternion [4]."""
+
+
+def build_scene() -> HandScene:
+    """Compile the scene.
+
+    Raises:
+        FileNotFoundError: If the model files are missing.
+    """
+    model, control = compile_model(model_path("adroit_pen.xml"), task.ACTION_SIZE)
+    sites = ("eps_ball", "object_top", "object_bottom", "target_top", "target_bottom")
+    return HandScene(
+        model=model,
+        placed={ASKED_ORIENTATION: Numbers("body_quat", model.body("target").id)},
+        read={
+            **{name: Numbers("site_xpos", model.site(name).id) for name in sites},
+            "pen": Numbers("xpos", model.body("Object").id),
+        },
+        **control,
+    )
+
+
+def _observe(states: HandStates) -> NDArray[np.float32]:
+    read = states.read
+    points = (read["object_top"] - read["object_bottom"]) / task.PEN_LENGTH
+    asked = (read["target_top"] - read["target_bottom"]) / task.PEN_LENGTH
+    parts = (
+        states.qpos[:, task.HAND_QPOS],
+        read["pen"],
+        states.qvel[:, -6:],
+        points,
+        asked,
+        read["pen"] - read["eps_ball"],
+        points - asked,
+    )
+    return np.concatenate(parts, axis=1, dtype=np.float32, casting="same_kind")
+
+
+def _judge(_: HandStates, observation: NDArray[np.float32]) -> Judged:
+    return Judged(
+        reward=task.reward(observation),
+        success=task.success(observation),
+        progress=task.alignment(observation),
+        terminated=task.never(observation),
+    )
+
+
+def _draw(rng: np.random.Generator) -> dict[str, NDArray[np.float64]]:
+    quaternion, about_x, about_y = np.zeros(4), np.zeros(4), np.zeros(4)
+    angle_x, angle_y = rng.uniform(-1, 1, 2)
+    mujoco.mju_axisAngle2Quat(about_x, np.array([1.0, 0.0, 0.0]), angle_x)
+    mujoco.mju_axisAngle2Quat(about_y, np.array([0.0, 1.0, 0.0]), angle_y)
+    mujoco.mju_mulQuat(quaternion, about_x, about_y)
+    return {ASKED_ORIENTATION: quaternion}
+
+
+PEN: Final = HandTask(
+    copies="copies",
+    observation_size=task.OBSERVATION_SIZE,
+    action_size=task.ACTION_SIZE,
+    horizon=task.HORIZON,
+    scene=build_scene,
+    observe=_observe,
+    judge=_judge,
+    draw=_draw,
+    contacts=CONTACTS,
+    surfaces=SURFACES,
+)

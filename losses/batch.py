@@ -1,0 +1,123 @@
+"""A flat batch as the terms read it: its entries by their meaning, and which rows reinforce."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+
+from losses.policy import Rows
+
+
+@dataclass
+class BatchKeys:
+    """Where a batch has what the terms read; renamed with ``LossModule.set_keys``."""
+
+    observation: NestedKey = "observation"
+    action: NestedKey = "action"
+    reward: NestedKey = "reward"
+    terminated: NestedKey = "terminated"
+    is_demo: NestedKey = "is_demo"
+    imitated_action: NestedKey = "imitated_action"
+    steps_to_next_obs: NestedKey = "steps_to_next_obs"
+    to_end: NestedKey = "to_end"
+
+
+class Batch:
+    """``[B]`` transitions, of which nothing is written to and every entry is looked up once.
+
+    Args:
+        data: The transitions; a term of one's own may read further entries from it.
+        keys: Where their entries are.
+    """
+
+    def __init__(self, data: TensorDictBase, keys: BatchKeys) -> None:
+        self.data = data
+        self.keys = keys
+
+    def __getitem__(self, rows: Rows) -> Batch:
+        """Some of the rows; a slice copies nothing."""
+        return Batch(self.data[rows], self.keys)
+
+    @cached_property
+    def observation(self) -> Tensor:
+        """``[B, O]``."""
+        return self.data[self.keys.observation]
+
+    @cached_property
+    def action(self) -> Tensor:
+        """``[B, A]``, which led to ``next``: what the critics are asked about."""
+        return self.data[self.keys.action]
+
+    @cached_property
+    def demonstrated_action(self) -> Tensor:
+        """``[B, A]``, what is imitated: the batch's own actions, unless it says which."""
+        shown = self.data.get(self.keys.imitated_action, None)
+        return self.action if shown is None else shown
+
+    @property
+    def next_observation(self) -> Tensor:
+        """``[B, O]``."""
+        return self.data["next", self.keys.observation]
+
+    @property
+    def reward(self) -> Tensor:
+        """``[B, 1]``, or the discounted sum of n rewards."""
+        return self.data["next", self.keys.reward]
+
+    @property
+    def terminated(self) -> Tensor:
+        """``[B, 1]`` bool: the environment's end, not a time limit."""
+        return self.data["next", self.keys.terminated]
+
+    @property
+    def steps(self) -> Tensor | None:
+        """``[B, 1]`` environment steps n to ``next``; ``None`` for one each."""
+        return self.data.get(self.keys.steps_to_next_obs, None)
+
+    @cached_property
+    def to_end(self) -> TensorDictBase | None:
+        """The way to the end of each row's episode ``[B]``; ``None`` if it is not told.
+
+        ``reward [B, 1]``, the discounted sum of all rewards that are left; ``steps [B, 1]``, how
+        many these are, 0 where that is not known; ``observation [B, O]`` and ``terminated [B, 1]``
+        of the end.
+        """
+        return self.data.get(self.keys.to_end, None)
+
+    @cached_property
+    def is_demo(self) -> Tensor | None:
+        """The mask ``[B]`` of the demonstration rows, ``None`` if there are no marks."""
+        mask = self.data.get(self.keys.is_demo, None)
+        return None if mask is None else mask.squeeze(-1)
+
+
+def reinforcement_rows(batch: Batch, main_rows: int | None = None) -> Rows | None:
+    """Return the rows ``[R]`` that are no demonstrations, ``None`` if no row is marked.
+
+    Where the demonstrations come last, as in the pipeline's batches, it is a slice, after which
+    all are demonstrations: a view in place of a copy of every entry. Counting makes an
+    accelerator's host wait, once: the price of not running the critics on rows that do not count.
+    With ``main_rows`` there is nothing to count.
+
+    Raises:
+        ValueError: if there are no such rows.
+    """
+    is_demo = batch.is_demo
+    if is_demo is None:
+        return None
+    if main_rows is not None:
+        return slice(main_rows)
+    others = is_demo.logical_not()
+    count, first_demo = torch.stack([others.sum(), is_demo.int().argmax()]).tolist()
+    if count == 0:
+        raise ValueError(
+            "all rows of the batch are demonstrations, which leaves none for reinforcement: "
+            "mix in other transitions, set rl_on_demos=True, or call bc_loss alone"
+        )
+    if count in (first_demo, len(others)):
+        return slice(count)
+    return others.nonzero().squeeze(-1)

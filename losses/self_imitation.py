@@ -1,0 +1,114 @@
+"""The actor imitates what turned out better than its critics expect (self-imitation learning)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.modules import TanhNormal
+
+from losses import functional as F
+from losses.actor import EnsembleValue
+from losses.imitation import ErrorName
+from losses.imitation_errors import IMITATION_ERRORS, clamp_to_support
+from losses.passes import ActorPass, Networks
+from losses.policy import draw, policy_distribution
+from losses.schedules import ConstantWeight, Schedule
+from losses.settings import require
+from losses.terms import ActorTerm, TermValue
+
+
+@dataclass(frozen=True)
+class SelfImitation(ActorTerm):
+    r"""``-log pi(a|s) max(R - V(s), 0)``, mean over the rows whose episode's end is known.
+
+    Source: arXiv:1806.05635, section 3. Such rows are those of demonstrations and of whole episodes
+    of the policy's own, whichever the batch marks as ``is_demo``; all rows where it has no marks.
+
+    V is SAC's soft value, ``Q(s, a') - alpha log pi(a'|s)`` of one ``a' ~ pi``; the paper's is a
+    network of its own. R is the discounted sum of the rewards until the end of the episode.
+
+    Deviation: an episode that a time limit cuts goes on with V of its last state, as the critics'
+    targets do; the paper's return ends there, which for rewards below zero praises whatever was
+    done last. Undo: ``bootstrap=False``.
+
+    Attributes:
+        weight: of the term, a number or a schedule of the number of updates.
+        gamma: discount per environment step, in [0, 1].
+        error: ``"nll"`` is the paper's; the others of :class:`~losses.Imitation` likewise.
+        margin: actions are kept this far inside (-1, 1) before they are scored.
+        value: the critics' ``"min"`` or ``"mean"`` is Q.
+        entropy: whether V carries the entropy bonus, as the critics' targets do or do not.
+        bootstrap: whether a return goes on behind a time limit.
+        cap: the largest advantage that counts; ``None`` for no limit.
+        name: of the term.
+
+    Raises:
+        SettingError: for a setting outside its range.
+    """
+
+    weight: Schedule | float = ConstantWeight(1.0)  # noqa: RUF009 - frozen
+    gamma: float = 0.99
+    error: ErrorName = "nll"
+    margin: float = 1e-2
+    value: EnsembleValue = "min"
+    entropy: bool = True
+    bootstrap: bool = True
+    cap: float | None = None
+    name: str = "self_imitation"
+
+    logs: ClassVar[tuple[str, ...]] = ("better_share",)
+
+    def __post_init__(self) -> None:
+        """Validate the settings."""
+        super().__post_init__()
+        require("gamma", self.gamma, 0.0 <= self.gamma <= 1.0, "in [0, 1]")
+        require("error", self.error, self.error in IMITATION_ERRORS, "nll, mse or fixed_width")
+        require("margin", self.margin, 0.0 < self.margin < 1.0, "in (0, 1)")
+        require("value", self.value, self.value in F.ENSEMBLE_VALUES, "min or mean")
+        require("cap", self.cap, self.cap is None or self.cap > 0.0, "None or > 0")
+
+    def __call__(self, seen: ActorPass) -> TermValue:
+        """Compute the loss; a constant 0 where the batch tells no ends of episodes.
+
+        Measured is ``better_share``: of the rows with a known end, those whose return exceeds V.
+        """
+        shown = seen.demonstrations
+        action, end = shown.batch.demonstrated_action, shown.batch.to_end
+        if end is None:
+            nothing = action.new_zeros(())
+            return TermValue(nothing, {"better_share": nothing})
+        known = end["steps"].squeeze(-1) > 0
+        advantage = self._advantage(seen.networks, shown.policy, shown.batch.observation, end)
+        error = IMITATION_ERRORS[self.error](shown.policy, clamp_to_support(action, self.margin))
+        better = F.masked_mean((advantage > 0.0).to(error.dtype), known)
+        return TermValue(F.masked_mean(error * advantage, known), {"better_share": better})
+
+    @torch.no_grad()
+    def _advantage(
+        self, networks: Networks, policy: TanhNormal, observation: Tensor, end: TensorDictBase
+    ) -> Tensor:
+        """Return ``[D]``; of rows without a known end it is any number."""
+        last = policy_distribution(networks.actor, end["observation"])
+        returns = F.soft_td_target(
+            reward=end["reward"],
+            # What a return does not go on from is as good as terminal.
+            terminated=end["terminated"] if self.bootstrap else end["steps"] >= 0,
+            next_q=self._value(networks, last, end["observation"]).unsqueeze(-1),
+            next_log_prob=end["reward"].squeeze(-1),  # V has the entropy already
+            temperature=networks.alpha,
+            gamma=self.gamma,
+            steps=end["steps"],
+            entropy_in_target=False,
+        )
+        value = self._value(networks, policy, observation)
+        return F.positive_advantage(returns.squeeze(-1), value, self.cap)
+
+    def _value(self, networks: Networks, policy: TanhNormal, observation: Tensor) -> Tensor:
+        """Return V ``[D]``."""
+        action, log_prob = draw(policy, slice(None))
+        q = F.ENSEMBLE_VALUES[self.value](networks.critic(observation, action)).squeeze(-1)
+        return q - networks.alpha * log_prob if self.entropy else q

@@ -1,0 +1,1 @@
+"""What is played: exploration, rollouts, evaluation, and what a set of episodes achieved."""

@@ -1,0 +1,1 @@
+"""What a batch is made of: rows, buffers, their mixture, episodes and what they grow into."""

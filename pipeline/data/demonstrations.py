@@ -1,0 +1,164 @@
+"""The core of D, ready for the buffers."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import torch
+from pydantic.dataclasses import dataclass as settings
+from tensordict import TensorDictBase
+
+from envs import Task
+from envs.demonstrations import (
+    DemonstrationSet,
+    DemoOptions,
+    MultiplyConfig,
+    load_demonstrations,
+    to_tensordict,
+)
+from envs.demonstrations.episode import Episode
+from envs.steps import counted_steps
+from pipeline.data.rows import TransitionRows
+from pipeline.learn.networks import ObservationNormalizer
+from pipeline.settings import STRICT, Count, NotNegative, Positive, Rate, Share
+
+_logger = logging.getLogger(__name__)
+
+
+@settings(frozen=True, kw_only=True, config=STRICT)
+class MultiplySettings:
+    """Demonstration multiplication: replay at other speeds and starts, keep what succeeds."""
+
+    enabled: bool = False
+    target_episodes: Count = 350  # episodes to keep
+    max_attempts: Count = 4000  # give up after so many
+    seed: NotNegative = 0
+    noise_scale: Rate = 0.08  # largest AR(1) action noise that is executed but not recorded
+    speed_low: Positive = 1.1  # slowest playback speed (1 = as recorded)
+    speed_high: Positive = 1.6
+    min_progress: float | None = None  # what an attempt must get beyond; None = success
+
+    def config(self) -> MultiplyConfig | None:
+        """What multiplication takes; None if it is off."""
+        if not self.enabled:
+            return None
+        return MultiplyConfig(
+            target_episodes=self.target_episodes,
+            max_attempts=self.max_attempts,
+            seed=self.seed,
+            noise_scale=self.noise_scale,
+            speed_low=self.speed_low,
+            speed_high=self.speed_high,
+            min_progress=self.min_progress,
+        )
+
+
+@settings(frozen=True, kw_only=True, config=STRICT)
+class DemosSettings:
+    """Where the demonstrations D come from and what is done to them on loading."""
+
+    source: str = "bundled"  # bundled | path | minari:ID
+    # Replay in the task from its own starts: states a policy will see. None = where the task can.
+    resimulate: bool | None = None
+    limit: Count | None = None  # use only the first N demonstrations
+    held_out: NotNegative = 0  # episodes, after multiplication, that only diagnostics see
+    multiply: MultiplySettings = field(default_factory=MultiplySettings)
+    # The action in the critics' rows of multiplied demonstrations: the executed one (with noise,
+    # what their observations and rewards follow from) or the clean one, which is imitated.
+    critic_action: Literal["executed", "clean"] = "executed"
+    keep_best: Share = 1.0  # share of the episodes, after multiplication: those of highest return
+    end_progress: Positive | None = (
+        None  # episodes end where their progress passes it; None = whole
+    )
+
+    def options(self, task: Task) -> DemoOptions:
+        """What loading takes, for this task."""
+        can = task.resimulate is not None
+        return DemoOptions(
+            resimulate=can if self.resimulate is None else self.resimulate,
+            multiply=self.multiply.config(),
+            limit=self.limit,
+            keep_best=self.keep_best,
+            end_progress=self.end_progress,
+        )
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """The core of D, ready for the buffers."""
+
+    rows: TensorDictBase
+    """Transitions [R] of the episodes to train on."""
+    held_out: TensorDictBase | None
+    """Transitions of the ``demos.held_out`` last episodes, which only diagnostics see."""
+    content_hash: str
+    """Of the episodes, for caches and for the record."""
+    source: str
+    saturated_share: float
+    """Of the demonstrated action entries, those within 1 % of a bound."""
+    success_share: float | None
+    """Of the episodes, those that accomplish the task; None if nobody knows."""
+    simulator_steps: int = 0
+    """Control steps that re-simulating and multiplying took."""
+    episodes: Sequence[Episode] = ()
+    """What the rows to train on were made of."""
+
+    def normalizer(self) -> ObservationNormalizer:
+        """Standardisation by the mean and standard deviation of the demonstrated observations."""
+        observation = self.rows["observation"]
+        # Of a single row, torch's estimate of the deviation is 0/0.
+        std = observation.std(0) if len(observation) > 1 else torch.zeros_like(observation[0])
+        return ObservationNormalizer(observation.mean(0), std)
+
+
+def success_share(episodes: Sequence[Episode]) -> float | None:
+    """Share of the episodes that succeed; None if that is not known of every one."""
+    known = [episode.succeeds for episode in episodes if episode.succeeds is not None]
+    return sum(known) / len(known) if known and len(known) == len(episodes) else None
+
+
+def make_demonstrations(
+    demos: DemosSettings,
+    task: Task,
+    to_rows: TransitionRows,
+    *,
+    cache_dir: Path,
+    num_threads: int | None,
+) -> Demonstrations:
+    """Loads, checks, re-simulates and multiplies the demonstrations as configured.
+
+    Raises:
+        DemonstrationError: If they are not usable.
+        ValueError: If as many or more are to be held out as there are.
+    """
+    if demos.resimulate is None and task.resimulate is None:
+        _logger.info(
+            "task %s cannot replay recorded episodes: the demonstrations are used as they were "
+            "recorded", task.name,
+        )  # fmt: skip
+    with counted_steps() as steps:
+        loaded: DemonstrationSet = load_demonstrations(
+            demos.source, task, demos.options(task), num_threads=num_threads, cache_dir=cache_dir
+        )
+    count = len(loaded.episodes) - demos.held_out
+    if count < 1:
+        raise ValueError(
+            f"demos.held_out must leave demonstrations to train on, got {demos.held_out} of "
+            f"{len(loaded.episodes)} episodes."
+        )
+    executed = demos.critic_action == "executed"
+    rows = [to_rows(episode) for episode in to_tensordict(loaded.episodes, executed=executed)]
+    return Demonstrations(
+        rows=torch.cat(rows[:count]),
+        held_out=torch.cat(rows[count:]) if demos.held_out else None,
+        content_hash=loaded.content_hash,
+        source=loaded.source,
+        saturated_share=loaded.saturated_share,
+        success_share=success_share(loaded.episodes),
+        simulator_steps=steps.taken,
+        episodes=loaded.episodes[:count],
+    )

@@ -1,0 +1,1 @@
+"""What a run leaves on disk: names, format, sums, checkpoints, curves; no policy is made here."""

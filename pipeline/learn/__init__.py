@@ -1,0 +1,1 @@
+"""What is learned and how: networks, gradients, optimizers, the update. Knows no buffer."""

@@ -1,0 +1,1 @@
+"""The machine a run has: threads, compiled updates, products, graphs, disk, signals."""

@@ -1,0 +1,78 @@
+"""Keys that had other names: command lines and run directories of before keep working.
+
+Every entry may go one release after it came; ``CHANGELOG.md`` says when that was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+RENAMED: Final[Mapping[str, str]] = {
+    "env.name": "task.name",
+    "env.open_steps": "env.success_steps",
+    "demos.end_angle": "demos.end_progress",
+    "demos.multiply.min_angle": "demos.multiply.min_progress",
+    "loss.angle_bonus": "loss.progress_bonus",
+    "loss.bc_emphasis.closed": "loss.bc_emphasis.before",
+    "loss.bc_emphasis.open": "loss.bc_emphasis.beyond",
+    "loss.bc_emphasis.angle": "loss.bc_emphasis.progress",
+    "growth.admission.min_angle": "growth.admission.min_progress",
+}
+"""New name by old name; values mean the same."""
+IMPLIED: Final[Mapping[str, Mapping[str, object]]] = {
+    # The bonus of a door grew up to 1.5 rad, and an angle was what made an episode good.
+    "loss.angle_bonus": {"loss.progress_bonus_cap": 1.5},
+    "growth.admission.min_angle": {"growth.admission.success": False},
+}
+"""What else an old key meant."""
+
+
+def rename_overrides(overrides: list[str]) -> tuple[list[str], dict[str, str]]:
+    """Overrides of a command line under today's names.
+
+    Args:
+        overrides: ``key=value``; others are left as they are.
+
+    Returns:
+        The overrides, and the new name of each old one that was found.
+    """
+    renamed, found = [], {}
+    for override in overrides:
+        key, separator, value = override.partition("=")
+        if separator and key in RENAMED:
+            found[key] = RENAMED[key]
+            implied = IMPLIED.get(key, {})
+            renamed += [f"{RENAMED[key]}={value}", *(f"{k}={v}" for k, v in implied.items())]
+        else:
+            renamed.append(override)
+    return renamed, found
+
+
+def rename_keys(config: dict[str, Any]) -> dict[str, Any]:
+    """A saved configuration under today's names; it is changed in place, too."""
+    for old, new in RENAMED.items():
+        path, key = old.split(".")[:-1], old.split(".")[-1]
+        holder = _holder(config, path)
+        if holder is None or key not in holder:
+            continue
+        _put(config, new, holder.pop(key))
+        for implied, value in IMPLIED.get(old, {}).items():
+            _put(config, implied, value)
+    return config
+
+
+def _holder(config: dict[str, Any], path: list[str]) -> dict[str, Any] | None:
+    for name in path:
+        found = config.get(name)
+        if not isinstance(found, dict):
+            return None
+        config = found
+    return config
+
+
+def _put(config: dict[str, Any], key: str, value: object) -> None:
+    *path, last = key.split(".")
+    for name in path:
+        config = config.setdefault(name, {})
+    config[last] = value

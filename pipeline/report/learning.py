@@ -1,0 +1,216 @@
+"""Sections of the report that come from training: curves, diagnostics, wall time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from envs.reference import Reference
+from pipeline.report.charts import Curve, bars, chart, curves_panel, in_order, panels
+from pipeline.report.numbers import Band, curve_of, last_of
+from pipeline.report.page import Chart, Section, Table, told_once
+from pipeline.report.rows import ReportRow
+from pipeline.results.run_tables import RETURN, reference_row
+from pipeline.watch.alarm import FADED, FALL, NATS, PREFERENCE
+
+FRAMES = "environment frames"
+SUCCESS = "success_once"
+MARGIN = 0.05
+"""Of an axis, beyond what is drawn."""
+
+
+@dataclass(frozen=True)
+class Diagnostic:
+    """A number that a living run is judged by.
+
+    Attributes:
+        label: what it is, with its unit.
+        healthy: its range in words.
+        value: of a row, from the last rows of its curves; None if they do not tell it.
+        well: whether a value is in its range.
+    """
+
+    label: str
+    healthy: str
+    value: Callable[[ReportRow], float | None]
+    well: Callable[[float], bool]
+
+
+def _difference(more: str, less: str, per: str | None = None) -> Callable[..., float | None]:
+    def value(row: ReportRow) -> float | None:
+        a, b = last_of(row, more), last_of(row, less)
+        scale = 1.0 if per is None else abs(last_of(row, per) or 0.0)
+        return None if a is None or b is None or not scale else (a - b) / scale
+
+    return value
+
+
+def _imitation_share(row: ReportRow) -> float | None:
+    weight, bc, rl = (last_of(row, k) for k in ("bc_weight", "grad_norm_bc", "grad_norm_rl"))
+    return None if weight is None or bc is None or not rl else weight * bc / rl
+
+
+def _alarms(row: ReportRow) -> float | None:
+    return (
+        float(sum(len(run.alarms) for run in row.runs)) if any(r.curve for r in row.runs) else None
+    )
+
+
+DIAGNOSTICS = (
+    Diagnostic("alarms of unlearning, all runs", "0", _alarms, lambda v: v == 0),
+    Diagnostic(
+        "overestimation: (q_policy_actions - q_demo_actions) / |q_demo_actions|",
+        f"at most {PREFERENCE:g}",
+        _difference("q_policy_actions", "q_demo_actions", "q_demo_actions"),
+        lambda v: v <= PREFERENCE,
+    ),
+    Diagnostic(
+        "memorised demonstrations: bc_nll_held_out - bc_nll_train, nats",
+        f"at most {NATS:g}",
+        _difference("bc_nll_held_out", "bc_nll_train"),
+        lambda v: v <= NATS,
+    ),
+    Diagnostic(
+        "imitation gradient over RL gradient, with its weight",
+        f"at least {FADED:g} while imitation shall hold the policy",
+        _imitation_share,
+        lambda v: v >= FADED,
+    ),
+    Diagnostic(
+        "the evaluated action alone fails: train_success - success_once",
+        f"below {FALL:g}",
+        _difference("train_success", SUCCESS),
+        lambda v: v < FALL,
+    ),
+)
+PANELS = (
+    ("gradient norms on the actor", ("grad_norm_rl", "grad_norm_bc")),
+    ("cosine of the two gradients", ("grad_cosine",)),
+    ("values in demonstrated states", ("q_demo_actions", "q_policy_actions")),
+    ("entropy of the policy, nats", ("entropy",)),
+    ("imitation error, nats", ("bc_nll_train", "bc_nll_held_out")),
+)
+"""Title, and columns of the learning curve that are drawn."""
+
+
+def curves(rows: Sequence[ReportRow], reference: Reference | None) -> Section:
+    """Success and return over frames."""
+    charts: list[Chart] = []
+    for key, label, share in (
+        (SUCCESS, "share that succeeds", True),
+        ("success_at_end", "share successful at the end", True),
+        (RETURN, "return", False),
+    ):
+        charts += _panels(rows, key, label, share=share, reference=reference)
+    lacking = {r.name: "no learning curve" for r in rows if not any(run.curve for run in r.runs)}
+    return Section(
+        "curves",
+        "Learning curves",
+        "Evaluations while training, of fewer episodes than the final one. Line: mean over seeds; "
+        "band: its 95 % interval (bootstrap over seeds; none with one seed). Dashed: the published "
+        "number of the row, where there is one.",
+        charts=charts,
+        absent=told_once(lacking),
+    )
+
+
+def _panels(
+    rows: Sequence[ReportRow],
+    key: str,
+    label: str,
+    *,
+    share: bool = False,
+    reference: Reference | None = None,
+) -> list[Chart]:
+    """Panels of a few rows each, all with one vertical axis."""
+    found = [
+        Curve(row.name, band, place, published(row, key, reference))
+        for place, row in enumerate(rows)
+        if (band := curve_of(row, key)) is not None
+    ]
+    span = None if share or not found else _span([curve.band for curve in found])
+    groups = panels(found, lambda curve: curve.place)
+    return [
+        chart(
+            f"{label} ({i + 1} of {len(groups)})" if len(groups) > 1 else label,
+            curves_panel(group, FRAMES, label, share=share, span=span),
+        )
+        for i, group in enumerate(groups)
+    ]
+
+
+def published(row: ReportRow, key: str, reference: Reference | None) -> float | None:
+    """The published number of a row for a figure of ours; None if there is none."""
+    variant = row.told("variant")
+    if reference is None or variant is None:
+        return None
+    theirs = reference_row(reference, variant, row.told("bc_weight")) or {}
+    return theirs.get(reference.success if key == SUCCESS else key)
+
+
+def diagnostics(rows: Sequence[ReportRow]) -> Section:
+    """What explains a success or a failure, with the ranges that the alarm goes by."""
+    lines = []
+    for diagnostic in DIAGNOSTICS:
+        cells = []
+        for row in rows:
+            value = diagnostic.value(row)
+            mark = "" if value is None or diagnostic.well(value) else " (!)"
+            cells.append("-" if value is None else f"{value:.3g}{mark}")
+        if any(cell != "-" for cell in cells):
+            lines.append([diagnostic.label, diagnostic.healthy, *cells])
+    charts = []
+    for title, keys in PANELS:
+        for key in keys:
+            charts += _panels(rows, key, title if len(keys) == 1 else f"{title}: {key}")
+    headers = ["at the last evaluation", "healthy", *(row.name for row in rows)]
+    return Section(
+        "diagnostics",
+        "Diagnostics",
+        "Means over seeds. (!) is out of its range, which is where a cause is suspected when a "
+        "policy unlearns; on a policy that succeeds it is no fault.",
+        tables=[Table(headers, lines)] if lines else [],
+        charts=charts,
+        folded=True,
+        absent=[] if lines else ["no run has a learning curve with diagnostics"],
+    )
+
+
+def wall_time(rows: Sequence[ReportRow]) -> Section:
+    """Where the time went."""
+    timed = {row.name: [run.seconds for run in row.runs if run.seconds] for row in rows}
+    known = {name: runs for name, runs in timed.items() if runs}
+    names = {part: None for runs in known.values() for run in runs for part in run}
+    lengths = {
+        part: [float(np.mean([run.get(part, 0.0) for run in runs])) / 60 for runs in known.values()]
+        for part in names
+    }
+    parts = dict(sorted(lengths.items(), key=lambda part: -sum(part[1])))
+    lines = [
+        [name, f"{sum(part[i] for part in parts.values()):.1f}",
+         *(f"{part[i]:.1f}" for part in parts.values())]
+        for i, name in enumerate(known)
+    ]  # fmt: skip
+    return Section(
+        "time",
+        "Wall time",
+        "Mean over the runs of a row, min. Runs that shared a machine slowed one another down.",
+        tables=[Table(["row", "all", *parts], lines)] if lines else [],
+        charts=[
+            chart(
+                "parts of a run", bars(parts, list(known), "min", in_order(len(parts))), wide=True
+            )
+        ]
+        if known
+        else [],
+        absent=told_once({name: "no time_use.json" for name in timed if name not in known}),
+    )
+
+
+def _span(bands: Sequence[Band]) -> tuple[float, float]:
+    low = min(float(band.low.min()) for band in bands)
+    high = max(float(band.high.max()) for band in bands)
+    margin = MARGIN * (high - low or 1.0)
+    return low - margin, high + margin

@@ -1,0 +1,119 @@
+"""Sections of the report that say how a policy goes about its task, and what it withstands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.report.charts import bars, chart, heat_map, in_order
+from pipeline.report.page import Section, Table
+from pipeline.report.rows import ReportRow
+
+Told = Mapping[str, Any]
+
+
+def strategies(rows: Sequence[ReportRow]) -> Section | None:
+    """What the hand touched while the thing moved; None if no evaluation recorded contacts."""
+    found = {row.name: told for row in rows if (told := _told(row))}
+    if not found:
+        return None
+    words: Mapping[str, str] = next(iter(found.values()))[0]["words"]
+    shares = {name: _mean_shares([of["shares"] for of in told]) for name, told in found.items()}
+    parts = {key: [of.get(key, 0.0) for of in shares.values()] for key in words}
+    lines = [
+        [name, *(_percent(of.get(key, 0.0)) for key in words), *_beside(found[name])]
+        for name, of in shares.items()
+    ]
+    meaning = "; ".join(f"'{key}': {text}" for key, text in words.items())
+    at = found[next(iter(found))][0]["thresholds"]
+    return Section(
+        "strategies",
+        "Strategies",
+        f"Share of episodes by what the hand touched, means over seeds. {meaning}. Thresholds: "
+        f"{', '.join(f'{key} {value:g}' for key, value in at.items())} (docs/metrics.md).",
+        tables=[
+            Table(
+                ["row", *words, "progress at last contact", "travel untouched, %"],
+                lines,
+                caption="Progress at the last contact: median [10, 90 %] over episodes; travel "
+                "untouched: mean over the episodes that moved something.",
+            ),
+            Table(
+                ["row", "threshold", *words],
+                [line for name, told in found.items() for line in _sensitivity(name, told, words)],
+                title="At other thresholds, one at a time",
+            ),
+        ],
+        charts=[
+            chart(
+                "strategies",
+                bars(parts, list(shares), "share of episodes", in_order(len(parts)), share=True),
+                wide=True,
+            )
+        ],
+    )
+
+
+def robustness(rows: Sequence[ReportRow]) -> Section | None:
+    """What each run withstands; None if none was disturbed."""
+    runs = [run for row in rows for run in row.runs if run.robustness is not None]
+    if not runs:
+        return None
+    tables, charts = [], []
+    for run in runs:
+        found = run.robustness
+        assert found is not None
+        whole = f"{found.episodes} episodes a setting, undisturbed {found.undisturbed.text}"
+        tables.append(Table(found.headers, found.rows(), f"{run.name}: {whole}"))
+        cells = {
+            ladder.what: [(m.setting, m.success) for m in ladder.settings]
+            for ladder in found.ladders
+        }
+        charts.append(chart(f"{run.name}: success under disturbance", heat_map(cells), wide=True))
+    return Section(
+        "robustness",
+        "Robustness",
+        "Success in % under one disturbance at a time, from the weakest to the strongest, with "
+        "Wilson's 95 % intervals. The last column is the weakest setting below the bar.",
+        tables=tables,
+        charts=charts,
+    )
+
+
+def _told(row: ReportRow) -> list[Told]:
+    return [told for run in row.evaluated if (told := (run.evaluation or {}).get("strategies"))]
+
+
+def _mean_shares(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    return {key: float(np.mean([of[key] for of in shares])) for key in shares[0]}
+
+
+def _beside(told: Sequence[Told]) -> list[str]:
+    last = [of["progress_at_last_contact"] for of in told if of["progress_at_last_contact"]]
+    free = [of["travel_untouched_mean"] for of in told if of["travel_untouched_mean"] is not None]
+    if not last:
+        return ["-", "-"]
+    low, middle, high = np.mean(last, axis=0)
+    return [
+        f"{middle:.3g} [{low:.3g}, {high:.3g}]",
+        f"{100 * np.mean(free):.1f}" if free else "-",
+    ]
+
+
+def _sensitivity(name: str, told: Sequence[Told], words: Mapping[str, str]) -> list[list[str]]:
+    lines = []
+    for threshold, values in told[0]["sensitivity"].items():
+        in_use = f"{told[0]['thresholds'][threshold]:g}"
+        for value in values:
+            if value == in_use:  # stands in the table above
+                continue
+            shares = _mean_shares([of["sensitivity"][threshold][value] for of in told])
+            line = [_percent(shares.get(key, 0.0)) for key in words]
+            lines.append([name, f"{threshold} {value}", *line])
+    return lines
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f}"

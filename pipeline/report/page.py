@@ -1,0 +1,117 @@
+"""What a report consists of, and how it becomes a page or Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+from tabulate import tabulate
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text under headers; the first column names the row."""
+
+    headers: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+    caption: str = ""
+
+    def markdown(self) -> str:
+        """As a table of GitHub's Markdown."""
+        rows = [[str(cell).replace("|", "\\|") for cell in row] for row in self.rows]
+        return tabulate(rows, headers=self.headers, tablefmt="github", disable_numparse=True)
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A figure of plotly as JSON."""
+
+    title: str
+    figure: str
+    wide: bool = False
+    """Takes the whole width of the page."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A film in the page itself."""
+
+    title: str
+    uri: str
+    """``data:video/mp4;base64,...`` or ``data:image/gif;base64,...``."""
+
+    @property
+    def still(self) -> bool:
+        """Whether the browser shows it as a picture, which plays by itself."""
+        return self.uri.startswith("data:image/")
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the report under one heading.
+
+    Attributes:
+        key: anchor on the page.
+        title: heading.
+        text: what it shows and how to read it.
+        tables: in both forms.
+        charts: of the page only.
+        clips: of the page only.
+        folded: whether the charts are closed until they are asked for.
+        absent: what cannot be shown and why, a line each.
+    """
+
+    key: str
+    title: str
+    text: str = ""
+    tables: Sequence[Table] = ()
+    charts: Sequence[Chart] = ()
+    clips: Sequence[Clip] = ()
+    folded: bool = False
+    absent: Sequence[str] = field(default_factory=tuple)
+
+
+def told_once(lacking: Mapping[str, str]) -> list[str]:
+    """What is lacking by row, as a line for each reason."""
+    names: dict[str, list[str]] = {}
+    for name, reason in lacking.items():
+        names.setdefault(reason, []).append(name)
+    return [f"{', '.join(of)}: {reason}" for reason, of in names.items()]
+
+
+@dataclass(frozen=True)
+class Report:
+    """A whole report."""
+
+    title: str
+    summary: str
+    sections: Sequence[Section]
+
+    def html(self) -> str:
+        """One file that needs no network: styles, plotly and data are in it."""
+        template = _environment(escape=True).get_template("report.html.j2")
+        return template.render(report=self, plotly=Markup(get_plotlyjs()), json_of=_inline)
+
+    def markdown(self) -> str:
+        """The tables, without the charts."""
+        return _environment(escape=False).get_template("report.md.j2").render(report=self)
+
+
+def _environment(*, escape: bool) -> Environment:
+    return Environment(
+        loader=PackageLoader("pipeline.report"),
+        autoescape=escape,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+
+
+def _inline(figure: str) -> Markup:
+    """JSON that cannot end the script element around it."""
+    return Markup(figure.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))

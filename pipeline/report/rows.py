@@ -1,0 +1,90 @@
+"""Runs of one recipe are a row of the report, its seeds the units of its intervals."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.report.sources import ReportRun
+from pipeline.results.rows import RECIPE
+
+OF_THE_MACHINE = frozenset(
+    {"seed", "cache_dir", "device", "torch_threads", "compile_updates", "onednn", "cuda_graphs"}
+    | {"env.num_threads", "env.workers", "demos.multiply.seed"}
+)
+"""Keys whose values do not make another recipe."""
+NOT_OF_THE_RECIPE = ("logging.",)
+SHOWN = 3
+"""Differing keys in the name of a row."""
+
+
+@dataclass(frozen=True)
+class ReportRow:
+    """One recipe and its runs."""
+
+    name: str
+    runs: tuple[ReportRun, ...]
+
+    @property
+    def evaluated(self) -> list[ReportRun]:
+        """Runs with an evaluation."""
+        return [run for run in self.runs if run.evaluation is not None]
+
+    def figures(self, key: str) -> list[float]:
+        """A number of every run's evaluation, of those that have it."""
+        found = [run.evaluation.get(key) for run in self.runs if run.evaluation is not None]
+        return [float(value) for value in found if value is not None]
+
+    def told(self, key: str) -> Any:
+        """A value of the recipe, of the first run that tells it."""
+        found = (run.told(key) for run in self.runs)
+        return next((value for value in found if value is not None), None)
+
+
+def group(runs: Sequence[ReportRun]) -> list[ReportRow]:
+    """Rows in the order of their first run.
+
+    ``ROW/seedN`` is of row ``ROW``; other runs are together if their recipes are equal but for the
+    seed and what is the machine's, and are called after the variant and what differs.
+    """
+    named: defaultdict[str, dict[str, list[ReportRun]]] = defaultdict(dict)
+    for run in runs:
+        name = run.folder or str(run.told("variant") or run.path.stem)
+        identity = "" if run.folder else json.dumps(recipe(run), sort_keys=True, default=str)
+        named[name].setdefault(identity, []).append(run)
+    rows = []
+    for name, groups in named.items():
+        recipes = [recipe(members[0]) for members in groups.values()]
+        keys = different(recipes)
+        for members, values in zip(groups.values(), recipes, strict=True):
+            told = ", ".join(f"{key}={values.get(key)}" for key in keys[:SHOWN])
+            rows.append(ReportRow(f"{name} ({told})" if keys else name, tuple(members)))
+    return rows
+
+
+def recipe(run: ReportRun) -> Mapping[str, Any]:
+    """What decides what a run learns, by dotted key; of the evaluation if it has no configuration.
+
+    Of paths only names count: others have other folders.
+    """
+    if not run.config:
+        return {key: _short(run.told(key)) for key in RECIPE}
+    return {
+        key: _short(value)
+        for key, value in run.config.items()
+        if key not in OF_THE_MACHINE and not key.startswith(NOT_OF_THE_RECIPE)
+    }
+
+
+def different(recipes: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Keys that do not have one value, in their order."""
+    keys = {key: None for values in recipes for key in values}
+    return [key for key in keys if any(r.get(key) != recipes[0].get(key) for r in recipes)]
+
+
+def _short(value: Any) -> Any:
+    return Path(value).name if isinstance(value, str) and "/" in value else value

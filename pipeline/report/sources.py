@@ -1,0 +1,267 @@
+"""Finds runs and reads what is left of each; what cannot be read is noted and left out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from pipeline.files.curves import read_lines
+from pipeline.files.run_files import (
+    ALARMS,
+    CONFIG,
+    EVALUATION,
+    LEARNING_CURVE,
+    PLACES,
+    VERSIONS,
+    RunDirectoryError,
+)
+from pipeline.files.time_use import TIME_USE
+from pipeline.renamed import rename_keys
+from pipeline.results.evaluation_files import (
+    EPISODES,
+    PROGRESS_CURVE,
+    Columns,
+    beside,
+    load_columns,
+    load_evaluation,
+)
+from pipeline.results.robustness import ROBUSTNESS, Robustness
+from pipeline.results.rows import ROWS, SEED, parse_published
+
+Read = TypeVar("Read")
+Json = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class ReportRun:
+    """What is left of one run; None and empty where something is not.
+
+    Attributes:
+        path: the run directory or the file.
+        folder: name of the folder of its row, where it lies in one (``ROW/seedN``).
+        evaluation: content of ``evaluation.json``.
+        curve: rows of the learning curve.
+        alarms: that it raised.
+        episodes: of the evaluation, see ``pipeline.results.evaluation_files``.
+        progress: likewise.
+        config: values of the recipe by dotted key.
+        seconds: of wall time by part.
+        versions: that it was trained with.
+        robustness: of the policy; None where nobody asked.
+        missing: what could not be read and how to get it, a line each.
+    """
+
+    path: Path
+    folder: str | None = None
+    evaluation: Json | None = None
+    curve: Sequence[Json] = ()
+    alarms: Sequence[Json] = ()
+    episodes: Columns = field(default_factory=dict)
+    progress: Columns = field(default_factory=dict)
+    config: Json = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    versions: Json = field(default_factory=dict)
+    robustness: Robustness | None = None
+    missing: tuple[str, ...] = ()
+
+    @property
+    def made_from(self) -> Json:
+        """What the evaluation was made from; empty without one."""
+        found: Json = {} if self.evaluation is None else self.evaluation["made_from"]
+        return found
+
+    def told(self, key: str) -> Any:
+        """A value of the recipe, from the evaluation or else from the configuration."""
+        of_config = {"task": "task.name", "demos": "demos.source", "bc_weight": LAMBDA}
+        found = self.made_from.get(key, self.config.get(of_config.get(key, key)))
+        return self.made_from.get("env") if found is None and key == "task" else found
+
+    @property
+    def name(self) -> str:
+        """Where it lies, in short: the last two parts of its path."""
+        return "/".join(self.path.parts[-2:])
+
+
+LAMBDA = "loss.bc_weight.init"
+
+
+def read_runs(paths: Sequence[Path]) -> list[ReportRun]:
+    """Reads every run that the paths lead to, each once.
+
+    A path is a run directory, a published file ``seedN.json`` or another evaluation, or a folder of
+    any of these: ``ROW/``, ``rows/`` with ``ROW/seedN`` below it, ``docs/results``.
+
+    Raises:
+        RunDirectoryError: If a path leads to none.
+    """
+    found: dict[Path, ReportRun] = {}
+    for path in paths:
+        runs = list(_runs_at(path, depth=2))
+        if not runs:
+            raise RunDirectoryError(
+                f"{path} is no run: name run directories, evaluation files, or folders of them "
+                "(runs/rows, docs/results/rows/best, docs/results)"
+            )
+        found |= {run.resolve(): read_run(run) for run in runs if run.resolve() not in found}
+    return list(found.values())
+
+
+def read_run(path: Path) -> ReportRun:
+    """Reads a run directory or an evaluation file; never fails, see ``ReportRun.missing``."""
+    return _of_directory(path) if path.is_dir() else _of_file(path)
+
+
+def _runs_at(path: Path, depth: int) -> Iterator[Path]:
+    if path.is_file() or _is_run(path):
+        yield path
+        return
+    if not path.is_dir():
+        return
+    below = path / ROWS if (path / ROWS).is_dir() else path
+    for entry in sorted(below.iterdir(), key=_by_number):
+        if _is_run(entry) or (entry.is_file() and entry.match(f"{SEED}*.json")):
+            yield entry
+        elif entry.is_dir() and depth > 1:
+            yield from _runs_at(entry, depth - 1)
+
+
+def _is_run(path: Path) -> bool:
+    return any((path / name).is_file() for name in (CONFIG, EVALUATION, LEARNING_CURVE))
+
+
+def _by_number(path: Path) -> tuple[str, int, str]:
+    number = path.stem.removeprefix(SEED)
+    return (SEED, int(number), "") if number.isdigit() else (path.name, 0, "")
+
+
+def _folder(path: Path) -> str | None:
+    in_a_row = path.stem.startswith(SEED) and path.stem.removeprefix(SEED).isdigit()
+    return path.parent.name if in_a_row else None
+
+
+class _Reader:
+    """Reads files one by one and keeps what went wrong."""
+
+    def __init__(self) -> None:
+        self.missing: list[str] = []
+
+    def __call__(self, read: Callable[[], Read], otherwise: Read) -> Read:
+        try:
+            return read()
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError) as error:
+            self.missing.append(" ".join(str(error).split()))
+            return otherwise
+
+
+def _of_directory(path: Path) -> ReportRun:
+    reader = _Reader()
+    evaluation = reader(lambda: load_evaluation(path), None)
+    nothing: list[dict[str, Any]] = []
+    curve = reader(lambda: read_lines(path / LEARNING_CURVE), nothing)
+    if not curve and not (path / LEARNING_CURVE).is_file():
+        reader.missing.append(f"{path / LEARNING_CURVE}: no learning curve")
+    for file in (path / LEARNING_CURVE, path / ALARMS):
+        if lost := _unreadable(file):
+            reader.missing.append(f"{file} is damaged: lines that are no row are left out: {lost}")
+    episodes, progress = _tables(reader, path / EVALUATION, evaluation)
+    return ReportRun(
+        path=path,
+        folder=_folder(path),
+        evaluation=evaluation,
+        curve=curve,
+        alarms=reader(lambda: read_lines(path / ALARMS), []),
+        episodes=episodes,
+        progress=progress,
+        config=reader(lambda: flat(_yaml(path / CONFIG)), {}),
+        seconds=reader(lambda: _object(path / TIME_USE).get("parts_s", {}), {}),
+        versions=reader(lambda: _object(path / VERSIONS), {}),
+        robustness=reader(lambda: _robustness(path / ROBUSTNESS), None),
+        missing=tuple(reader.missing),
+    )
+
+
+def _of_file(path: Path) -> ReportRun:
+    reader = _Reader()
+    evaluation = reader(lambda: load_evaluation(path), None)
+    if evaluation is not None and "curve" in evaluation:
+        seed = reader(lambda: parse_published(path, evaluation), None)
+        if seed is not None:
+            return ReportRun(path, _folder(path), seed.evaluation, seed.curve, seed.alarms)
+        return ReportRun(path, _folder(path), missing=tuple(reader.missing))
+    episodes, progress = _tables(reader, path, evaluation)
+    return ReportRun(
+        path=path,
+        folder=_folder(path),
+        evaluation=evaluation,
+        episodes=episodes,
+        progress=progress,
+        missing=tuple(reader.missing),
+    )
+
+
+def _tables(reader: _Reader, path: Path, evaluation: Json | None) -> tuple[Columns, Columns]:
+    """The tables beside an evaluation, if they are of it."""
+    nothing: tuple[Columns, Columns] = ({}, {})
+    if evaluation is None:
+        return nothing
+    episodes: Columns = reader(lambda: load_columns(beside(path, EPISODES)), {})
+    if episodes and len(episodes["episode"]) != evaluation["episodes"]:
+        reader.missing.append(
+            f"{beside(path, EPISODES)} holds {len(episodes['episode'])} episodes and {path.name} "
+            f"{evaluation['episodes']}: they are of two evaluations; make them again: make eval"
+        )
+        return nothing
+    curve = beside(path, PROGRESS_CURVE)
+    progress: Columns = reader(lambda: load_columns(curve), {}) if curve.is_file() else {}
+    return episodes, progress
+
+
+def _robustness(path: Path) -> Robustness | None:
+    return Robustness.read(path) if path.is_file() else None
+
+
+def flat(values: Json, prefix: str = "") -> dict[str, Any]:
+    """Nested values by dotted key."""
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        found |= flat(value, f"{name}.") if isinstance(value, dict) and value else {name: value}
+    return found
+
+
+def _unreadable(path: Path) -> int:
+    """Lines that are no JSON, which ``read_lines`` leaves out: half-written ones, for instance."""
+    lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
+    return sum(not _is_json(line) for line in lines)
+
+
+def _is_json(text: str) -> bool:
+    try:
+        json.loads(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _yaml(path: Path) -> Json:
+    content = yaml.safe_load(path.read_text()) if path.is_file() else {}
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} holds no recipe")
+    return rename_keys({key: value for key, value in content.items() if key not in PLACES})
+
+
+def _object(path: Path) -> Json:
+    if not path.is_file():
+        return {}
+    try:
+        content = json.loads(path.read_text())
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged ({error})") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} holds no object")
+    return content

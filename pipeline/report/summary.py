@@ -1,0 +1,235 @@
+"""Sections of the report that say what came out, how the runs differ and where numbers are from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from envs.reference import Column, Reference
+from pipeline.report.learning import published
+from pipeline.report.numbers import HOW, estimate
+from pipeline.report.page import Section, Table
+from pipeline.report.rows import ReportRow, different, recipe
+from pipeline.report.sources import ReportRun
+from pipeline.results.run_tables import RETURN, cell
+
+HEADLINE = (
+    Column("success_once", "success", percent=True),
+    Column("success_at_end", "success at the end", percent=True),
+    Column(RETURN, "return"),
+    Column("steps_to_success_median", "steps to success, median"),
+)
+"""Of every task."""
+RENAMED = {"steps_to_success_median": "steps_to_open_median"}
+"""What evaluations of the door called a figure before every task had it."""
+HASH_DIGITS = 10
+
+
+def headline(rows: Sequence[ReportRow], reference: Reference | None) -> Section:
+    """What came out: the figures of every task, then the task's published tables beside ours."""
+    source = "published" if reference is None else reference.source
+    tables = [_beside(rows, HEADLINE, reference)]
+    if reference is not None:
+        tables += [
+            _beside(rows, columns, reference, title) for title, columns in reference.tables.items()
+        ]
+    text = HOW if reference is None else f"{HOW} Behind the stroke: {source}."
+    absent = [f"{row.name}: no run is evaluated" for row in rows if not row.evaluated]
+    return Section("results", "Results", text, tables=tables, absent=absent)
+
+
+def _beside(
+    rows: Sequence[ReportRow],
+    columns: Sequence[Column],
+    reference: Reference | None,
+    title: str = "",
+) -> Table:
+    lines = []
+    for row in rows:
+        line = [row.name, str(len(row.evaluated)), _episodes(row)]
+        for column in columns:
+            theirs = published(row, column.key, reference)
+            text = _estimate(row, column) or "-"
+            line.append(text if theirs is None else f"{text} / {cell(column, theirs)}")
+        lines.append(line)
+    return Table(["row", "seeds", "episodes", *(c.header for c in columns)], lines, title)
+
+
+def _estimate(row: ReportRow, column: Column) -> str | None:
+    found = estimate(row, column)
+    if found is None and column.key in RENAMED:
+        return estimate(row, replace(column, key=RENAMED[column.key]))
+    return found
+
+
+def _episodes(row: ReportRow) -> str:
+    counts = sorted({int(count) for count in row.figures("episodes")})
+    return " to ".join(str(count) for count in {counts[0]: 0, counts[-1]: 0}) if counts else "-"
+
+
+ALIKE = (
+    ("path_distance", "path, cm from the nearest", 100.0),
+    ("posture_distance", "posture, rad from the nearest", 1.0),
+    ("steps", "steps", 1.0),
+    ("speed_mean", "speed, m/s", 1.0),
+    ("jerk_mean", "jerk, m/s^3", 1.0),
+    ("log_dimensionless_jerk", "log dimensionless jerk", 1.0),
+    ("saturated_actions", "saturated actions, %", 100.0),
+)
+"""Figure of ``likeness``, header, and what turns its unit into the header's."""
+
+
+def alike(rows: Sequence[ReportRow]) -> Section | None:
+    """How alike the movements are to demonstrations; None if no evaluation compared them."""
+    shown: dict[str, list[str]] = {}
+    lines = []
+    for row in rows:
+        found = [told for run in row.runs if (told := (run.evaluation or {}).get("likeness"))]
+        for told in found:
+            shown.setdefault(f"demonstrations: {told['to']}", _alike([told["of_demonstrations"]]))
+        if found:
+            lines.append([row.name, *_alike(found)])
+    if not lines:
+        return None
+    return Section(
+        "likeness",
+        "Likeness to the demonstrations",
+        "Median [10, 90 %] over episodes, up to the first success; means over seeds. Distances are "
+        "to the nearest demonstration, by dynamic time warping, and of a demonstration to the "
+        "nearest other one.",
+        tables=[
+            Table(
+                ["movements", *(header for _, header, _ in ALIKE)],
+                [*([name, *cells] for name, cells in shown.items()), *lines],
+            )
+        ],
+    )
+
+
+def _alike(found: Sequence[Mapping[str, Any]]) -> list[str]:
+    cells = []
+    for key, _, scale in ALIKE:
+        known = [of_one[key] for of_one in found if of_one.get(key) is not None]
+        low, middle, high = scale * np.mean(known, axis=0) if known else (None, None, None)
+        cells.append("-" if middle is None else f"{middle:.3g} [{low:.3g}, {high:.3g}]")
+    return cells
+
+
+def differences(rows: Sequence[ReportRow]) -> Section:
+    """Keys of the recipes in which the rows differ, and those in which seeds of one row do."""
+    recipes = {row.name: [recipe(run) for run in row.runs] for row in rows}
+    keys = different([values for of_row in recipes.values() for values in of_row])
+    lines = [
+        [key, *(_values([run.get(key) for run in of_row]) for of_row in recipes.values())]
+        for key in keys
+    ]
+    whole = all(run.config for row in rows for run in row.runs)
+    return Section(
+        "differences",
+        "Differences of configuration",
+        "Keys that do not have the same value everywhere, but seeds and what is the machine's.",
+        tables=[Table(["key", *recipes], lines)] if lines else [],
+        absent=[
+            *([] if lines else ["none"]),
+            *([] if whole else ["of runs without config.yaml, only what an evaluation records"]),
+        ],
+    )
+
+
+def _values(values: Sequence[Any]) -> str:
+    told = {str(value): None for value in values}
+    return " | ".join("-" if value == "None" else value for value in told)
+
+
+def provenance(rows: Sequence[ReportRow]) -> Section:
+    """Where every number is from."""
+    lines = [_origin(row, run) for row in rows for run in row.runs]
+    packages = {name: None for row in rows for run in row.runs for name in _packages(run)}
+    versions = [
+        [run.name, *(str(_packages(run).get(name) or "-") for name in packages)]
+        for row in rows
+        for run in row.runs
+    ]
+    tables = [Table(ORIGIN, lines, "Runs")]
+    if packages:
+        tables.append(Table(["run", *packages], _once(versions), "Packages at the evaluation"))
+    return Section(
+        "provenance",
+        "Where the numbers are from",
+        "An asterisk: the working tree had changes that no revision holds. The SHA-256 is of the "
+        "file of demonstrations at the evaluation.",
+        tables=tables,
+    )
+
+
+ORIGIN = (
+    "run", "row", "seed", "checkpoint", "frames", "simulator steps", "again with",
+    "revision of the evaluation", "of the training", "evaluation seed", "demonstrations",
+    "SHA-256", "machine",
+)  # fmt: skip
+
+
+def _origin(row: ReportRow, run: ReportRun) -> list[str]:
+    made_from = run.made_from
+    told = made_from.get("versions") or {}
+    demos = run.told("demos")
+    sha = made_from.get("demos_sha256")
+    return [
+        run.name,
+        row.name,
+        _or_dash(run.told("seed")),
+        _or_dash(made_from.get("checkpoint")),
+        _or_dash(made_from.get("frames")),
+        _or_dash(made_from.get("simulator_steps")),
+        _command(run),
+        _revision(told),
+        _revision(run.versions),
+        _or_dash(made_from.get("evaluation_seed")),
+        "-" if demos is None else Path(demos).name,
+        "-" if sha is None else str(sha)[:HASH_DIGITS],
+        _or_dash(told.get("machine") or run.versions.get("machine")),
+    ]
+
+
+def _command(run: ReportRun) -> str:
+    if run.evaluation is None:
+        return f"make eval RUN={run.path}"
+    overrides = run.made_from.get("overrides") or []
+    extra = f' ARGS="{" ".join(overrides)}"' if overrides else ""
+    return f"make eval RUN={run.name} EPISODES={run.evaluation['episodes']}{extra}"
+
+
+def _revision(told: Mapping[str, Any]) -> str:
+    revision = told.get("git")
+    if not revision:
+        return "-"
+    return f"{revision[:HASH_DIGITS]}{'*' if told.get('git_dirty') else ''}"
+
+
+def _packages(run: ReportRun) -> Mapping[str, Any]:
+    found: Mapping[str, Any] = (run.made_from.get("versions") or {}).get("packages") or {}
+    return found
+
+
+def _once(lines: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Runs with the same versions in one line."""
+    names: dict[tuple[str, ...], list[str]] = {}
+    for name, *told in lines:
+        names.setdefault(tuple(told), []).append(name)
+    return [[", ".join(of), *told] for told, of in names.items()]
+
+
+def missing(rows: Sequence[ReportRow]) -> Section | None:
+    """What could not be read; None if nothing is missing."""
+    lines = [f"{run.name}: {line}" for row in rows for run in row.runs for line in run.missing]
+    if not lines:
+        return None
+    return Section("missing", "What is missing", absent=lines)
+
+
+def _or_dash(value: Any) -> str:
+    return "-" if value is None else str(value)

@@ -1,0 +1,173 @@
+"""What ``make robust`` leaves: success under each disturbance, and the first that breaks a policy.
+
+A ladder is one kind of disturbance in one direction, from the weakest setting to the strongest.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+from tabulate import tabulate
+
+from pipeline.files.run_files import RunDirectoryError, as_json, write_atomically
+
+ROBUSTNESS: Final = "robustness.json"
+TABLE: Final = "robustness.md"
+FIGURE: Final = "robustness.png"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Episodes under one setting.
+
+    Attributes:
+        setting: in short: ``x2``, ``+0.02 m``, ``3 steps``.
+        success: share of the episodes that succeed at any step; None where it was refused.
+        ci95: Wilson's interval of it.
+        return_mean: undiscounted.
+        refused: why nothing was played; None where it was.
+    """
+
+    setting: str
+    success: float | None = None
+    ci95: tuple[float, float] | None = None
+    return_mean: float | None = None
+    refused: str | None = None
+
+    @property
+    def text(self) -> str:
+        """For tables: success and its interval in per cent."""
+        if self.success is None or self.ci95 is None:
+            return "refused"
+        low, high = (100 * edge for edge in self.ci95)
+        return f"{100 * self.success:.1f} [{low:.1f}, {high:.1f}]"
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """Settings of one kind, the weakest first."""
+
+    kind: str
+    what: str
+    """In words: ``friction of all contacts, more``."""
+    settings: tuple[Measured, ...]
+
+    @property
+    def unbroken(self) -> str:
+        """What to say where no setting breaks a policy."""
+        played = any(m.success is not None for m in self.settings)
+        return "none of these" if played else "none was played"
+
+    def first_below(self, bar: float) -> str | None:
+        """The weakest setting under which success is below ``bar``; None if there is none."""
+        broken = (m.setting for m in self.settings if m.success is not None and m.success < bar)
+        return next(broken, None)
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """A policy under all ladders.
+
+    Attributes:
+        bar: success below which a setting breaks the policy.
+        episodes: of each setting.
+        undisturbed: the same episodes without any.
+        ladders: of every kind.
+        made_from: run, seeds, versions.
+    """
+
+    bar: float
+    episodes: int
+    undisturbed: Measured
+    ladders: tuple[Ladder, ...]
+    made_from: Mapping[str, Any]
+
+    def write(self, folder: Path) -> None:
+        """Writes the numbers and the table into ``folder``, which is made."""
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(folder / TABLE, self.markdown() + "\n")
+        told = asdict(self)
+        for ladder, plain in zip(self.ladders, told["ladders"], strict=True):
+            plain["first_below"] = ladder.first_below(self.bar)
+        write_atomically(folder / ROBUSTNESS, as_json(told, indent=2) + "\n")
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """What :meth:`write` left.
+
+        Raises:
+            RunDirectoryError: If it is missing or damaged.
+        """
+        remedy = f"make it with: make robust RUN={path.parent}"
+        try:
+            told = json.loads(path.read_text())
+            return cls(
+                bar=told["bar"],
+                episodes=told["episodes"],
+                undisturbed=_measured(told["undisturbed"]),
+                ladders=tuple(
+                    Ladder(of["kind"], of["what"], tuple(map(_measured, of["settings"])))
+                    for of in told["ladders"]
+                ),
+                made_from=told["made_from"],
+            )
+        except OSError as error:
+            raise RunDirectoryError(
+                f"{path} cannot be read ({error.strerror}); {remedy}"
+            ) from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise RunDirectoryError(f"{path} is damaged ({error!r}); {remedy}") from error
+
+    def rows(self) -> list[list[str]]:
+        """A line a ladder: what, its settings with their success, what breaks it."""
+        return [
+            [
+                ladder.what,
+                *(f"{m.setting}: {m.text}" for m in ladder.settings),
+                *[""] * (self.most - len(ladder.settings)),
+                ladder.first_below(self.bar) or ladder.unbroken,
+            ]
+            for ladder in self.ladders
+        ]
+
+    @property
+    def most(self) -> int:
+        """Settings of the longest ladder."""
+        return max((len(ladder.settings) for ladder in self.ladders), default=0)
+
+    @property
+    def headers(self) -> list[str]:
+        """Of :meth:`rows`."""
+        levels = [f"level {i + 1}" for i in range(self.most)]
+        return ["disturbance", *levels, f"first below {100 * self.bar:g} %"]
+
+    def markdown(self) -> str:
+        """The table, with what it is of."""
+        made = self.made_from
+        return "\n".join(
+            [
+                f"# Robustness of `{Path(str(made['run'])).name}`",
+                "",
+                f"Success in % of {self.episodes} episodes of each setting (seed "
+                f"{made['evaluation_seed']}), with Wilson's 95 % interval. Undisturbed: "
+                f"{self.undisturbed.text}.",
+                f"Again: `make robust RUN={made['run']} EPISODES={self.episodes}`.",
+                "",
+                tabulate(self.rows(), self.headers, tablefmt="github", disable_numparse=True),
+                *_refusals(self.ladders),
+            ]
+        )
+
+
+def _refusals(ladders: Sequence[Ladder]) -> list[str]:
+    found = [m.refused for ladder in ladders for m in ladder.settings if m.refused]
+    return ["", *(f"- refused: {reason}" for reason in found)] if found else []
+
+
+def _measured(told: Mapping[str, Any]) -> Measured:
+    ci95 = told["ci95"]
+    return Measured(**{**told, "ci95": None if ci95 is None else (ci95[0], ci95[1])})

@@ -1,0 +1,128 @@
+"""Evaluated runs beside the published rows of their task."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from tabulate import tabulate
+
+from envs import find_task
+from envs.intervals import wilson
+from envs.reference import Column, Reference
+
+RETURN = "return_mean"
+NORMAL_95 = 1.959964
+"""Deviations of a normal distribution within which 95 % lie."""
+
+
+def reference_row(
+    reference: Reference, variant: str, bc_weight: float | None
+) -> Mapping[str, float] | None:
+    """The published row of a run, or None (own variants, other weights)."""
+    weighted = f"{variant}_{bc_weight:g}" if bc_weight is not None else variant
+    # Published with several weights: only the row of this one stands beside it.
+    several = any(_has_weight(name, variant) for name in reference.rows)
+    return reference.rows.get(weighted if several else variant)
+
+
+def render(evaluations: Sequence[Mapping[str, Any]], reference: Reference) -> str:
+    """The task's tables in Markdown; every column is "ours / published".
+
+    Args:
+        evaluations: Contents of ``evaluation.json`` files of runs of the task.
+        reference: Of the task.
+
+    Raises:
+        ValueError: If an evaluation lacks a column, e.g. because it is of another task.
+    """
+    return "\n\n".join(
+        f"**{title}** (ours with the 95 % interval over episodes / {reference.source})\n\n"
+        + _table(evaluations, columns, reference)
+        for title, columns in reference.tables.items()
+    )
+
+
+def reference_of(evaluations: Sequence[Mapping[str, Any]]) -> Reference:
+    """The published rows of the task that all evaluations are of.
+
+    Raises:
+        ValueError: If they are of several tasks.
+        MissingCapabilityError: If the task has no published rows.
+    """
+    tasks = {task_of(evaluation["made_from"]) for evaluation in evaluations}
+    if len(tasks) != 1:
+        raise ValueError(f"a table is of one task, and these runs are of {sorted(tasks)}")
+    reference: Reference = find_task(tasks.pop()).require("reference", "make table")
+    return reference
+
+
+def task_of(made_from: Mapping[str, Any]) -> str:
+    """The task that an evaluation is of, also of one that called it its environment."""
+    return str(made_from.get("task", made_from.get("env")))
+
+
+def _table(
+    evaluations: Sequence[Mapping[str, Any]], columns: Sequence[Column], reference: Reference
+) -> str:
+    rows = []
+    for evaluation in evaluations:
+        made_from = evaluation["made_from"]
+        theirs = reference_row(reference, made_from["variant"], made_from.get("bc_weight")) or {}
+        row = [made_from["variant"], made_from["seed"], evaluation["episodes"]]
+        for column in columns:
+            if column.key not in evaluation:
+                raise ValueError(
+                    f"{made_from['run']}: its evaluation has no {column.key!r}; only runs of the "
+                    "same task have a place in its tables."
+                )
+            value = evaluation[column.key]
+            interval = over_episodes(evaluation, column)
+            ours = cell(column, None) if value is None else with_interval(column, value, interval)
+            row.append(f"{ours} / {cell(column, theirs.get(column.key))}")
+        rows.append(row)
+    headers = ["variant", "seed", "episodes", *(column.header for column in columns)]
+    return tabulate(rows, headers=headers, tablefmt="github")
+
+
+def over_episodes(evaluation: Mapping[str, Any], column: Column) -> tuple[float, float] | None:
+    """95 % interval of a figure over the episodes of an evaluation; None where none can be told.
+
+    Wilson's of a share, the normal one of the return. It says nothing about other seeds.
+    """
+    value, episodes = evaluation.get(column.key), int(evaluation["episodes"])
+    if value is None:
+        return None
+    if column.percent:
+        return wilson(np.arange(episodes) < round(episodes * value))
+    if column.key == RETURN and evaluation.get("return_std") is not None:
+        half = NORMAL_95 * float(evaluation["return_std"]) / math.sqrt(episodes)
+        return float(value) - half, float(value) + half
+    return None
+
+
+def with_interval(column: Column, value: float, interval: tuple[float, float] | None) -> str:
+    """A number and its interval as the tables show them."""
+    if interval is None:
+        return cell(column, value)
+    scale = 100.0 if column.percent else 1.0
+    low, high = (f"{scale * bound:.1f}" for bound in interval)
+    return f"{cell(column, value)} [{low}, {high}]"
+
+
+def cell(column: Column, value: float | None) -> str:
+    """A number as the tables show it; None as a dash."""
+    if value is None:
+        return "-"
+    return f"{100 * value:.1f} %" if column.percent else f"{value:.1f}"
+
+
+def _has_weight(name: str, variant: str) -> bool:
+    prefix, _, weight = name.rpartition("_")
+    try:
+        float(weight)
+    except ValueError:
+        return False
+    return prefix == variant

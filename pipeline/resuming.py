@@ -1,0 +1,127 @@
+"""What a run that goes on may change, and what its directory tells about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from tabulate import tabulate
+
+from pipeline.files.run_files import RunDirectoryError
+from pipeline.recipe import Recipe
+
+MAY_CHANGE: Final = (
+    "device",
+    "torch_threads",
+    "compile_updates",
+    "onednn",
+    "cuda_graphs",
+    "cache_dir",
+    "env.num_threads",
+    "env.workers",
+    "evaluation",
+    "logging",
+)
+"""Keys and sections that a run which goes on may change: the machine, what is measured and logged.
+docs/howto/runs.md lists them."""
+ONLINE: Final = (
+    "collector.total_frames",
+    "optim.actor_lr",
+    "optim.critic_lr",
+    "optim.temperature_lr",
+)
+"""Besides, with an environment: the budget and the rates."""
+OFFLINE: Final = ("bc.updates", "bc.lr")
+"""Besides, without one."""
+DECIDED: Final[Mapping[str, object]] = {
+    "torch_threads": None,
+    "precision": "auto",
+    "compile_updates": None,
+    "onednn": None,
+    "cuda_graphs": None,
+    "loss.imitation": "auto",
+    "loss.target_entropy": "clone",
+}
+"""Keys that a run decides when it starts, by the value that leaves them open (pipeline/compute.py,
+pipeline/imitation_choice.py, pipeline/entropy_choice.py)."""
+
+Changes = Mapping[str, tuple[Any, Any]]
+"""Old and new value by key."""
+
+
+def as_decided(asked: Recipe, saved: Recipe) -> Recipe:
+    """What ``asked`` leaves open is what the run decided: it goes on computing as it did."""
+    wanted, decided = dict(_leaves(asked.plain())), dict(_leaves(saved.plain()))
+    for key, open_value in DECIDED.items():
+        if wanted[key] == open_value:
+            change = decided[key]
+            for part in reversed(key.split(".")):
+                change = {part: change}
+            asked = asked.changed(**change)
+    return asked
+
+
+def changes(saved: Recipe, asked: Recipe) -> Changes:
+    """In which keys the two differ."""
+    old, new = dict(_leaves(saved.plain())), dict(_leaves(asked.plain()))
+    keys = dict.fromkeys([*old, *new])
+    return {key: (old.get(key), new.get(key)) for key in keys if old.get(key) != new.get(key)}
+
+
+def require_changeable(changed: Changes, recipe: Recipe, run_dir: Path) -> None:
+    """Refuses changes that would make another run of it.
+
+    Raises:
+        RunDirectoryError: With a table of old and new values.
+    """
+    allowed = (*MAY_CHANGE, *(OFFLINE if recipe.offline else ONLINE))
+    refused = {
+        key: values
+        for key, values in changed.items()
+        if not any(key == one or key.startswith(f"{one}.") for one in allowed)
+    }
+    if refused:
+        rows = [(key, _shown(old), _shown(new)) for key, (old, new) in refused.items()]
+        table = tabulate(rows, headers=("key", "of the run", "asked for"), disable_numparse=True)
+        raise RunDirectoryError(
+            f"{run_dir} was made with other values, and a run that goes on cannot change them:\n"
+            f"{table}\nLeave them out, or start another run with RUN=<new directory>. "
+            f"What may change: {', '.join(allowed)}."
+        )
+
+
+def require_budget(recipe: Recipe, frames: int, run_dir: Path, changed: Changes) -> None:
+    """Refuses fewer frames than there are.
+
+    Raises:
+        RunDirectoryError: If the run has passed the budget that is asked for.
+    """
+    key = "bc.updates" if recipe.offline else "collector.total_frames"
+    if key in changed and changed[key][1] < frames:
+        raise RunDirectoryError(
+            f"{run_dir} has {frames} frames already, and {key}={changed[key][1]} asks for fewer: "
+            f"ask for at least {frames}, or start another run with RUN=<new directory>."
+        )
+
+
+def entry(changed: Changes, frames: int) -> dict[str, Any]:
+    """What ``config.yaml`` records of a resume with other values."""
+    return {
+        "frames": frames,
+        "at": datetime.now(UTC).isoformat(timespec="seconds"),
+        "changed": {key: [old, new] for key, (old, new) in changed.items()},
+    }
+
+
+def _leaves(values: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from _leaves(value, f"{where}{key}.")
+        else:
+            yield f"{where}{key}", value
+
+
+def _shown(value: Any) -> str:
+    return "null" if value is None else str(value)

@@ -1,0 +1,71 @@
+"""How the parts of a run declare their settings.
+
+A room declares its own once, as a frozen dataclass beside the code that uses it::
+
+    @dataclass(frozen=True, kw_only=True, config=STRICT)
+    class SamplerSettings:
+        batch_size: Count = 1024  # rows from the replay buffer
+
+pydantic checks values wherever they come from, a YAML file, a command line or Python; together the
+sections are a :class:`~pipeline.recipe.Recipe`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, TypeVar
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+STRICT: Final = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=True)
+"""Of every section: no unknown keys, no NaN."""
+
+Count = Annotated[int, Field(ge=1)]
+NotNegative = Annotated[int, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0.0)]
+Rate = Annotated[float, Field(ge=0.0)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Widths = Annotated[tuple[Count, ...], Field(min_length=1)]
+
+Section = TypeVar("Section")
+
+
+class SettingsError(ValueError):
+    """A value is not possible; the message names its key and what was expected."""
+
+
+def checked(kind: type[Section], values: Mapping[str, Any], where: str) -> Section:
+    """The section ``kind`` with these values.
+
+    Args:
+        kind: A dataclass of settings.
+        values: By key; sections within it are mappings.
+        where: They come from, for the message.
+
+    Raises:
+        SettingsError: If a key is unknown, or a value is of another type or out of its range.
+    """
+    try:
+        return TypeAdapter(kind).validate_python(dict(values))
+    except ValidationError as error:
+        raise SettingsError(f"{where}: {explained(error)}") from error
+
+
+def explained(error: ValidationError) -> str:
+    """What is wrong, key by key, in one line."""
+    found = []
+    for problem in error.errors(include_url=False):
+        key = ".".join(str(part) for part in problem["loc"]) or "the settings"
+        if problem["type"] == "unexpected_keyword_argument":
+            found.append(f"{key} is not a key that exists")
+        elif problem["type"] == "value_error":  # of a section's own, which names its keys
+            found.append(problem["msg"].removeprefix("Value error, "))
+        else:
+            found.append(f"{key}={problem['input']!r}: {problem['msg']}")
+    return "; ".join(found)
+
+
+def plain(section: object) -> dict[str, Any]:
+    """A section as plain values, for YAML and hashes."""
+    dumped: dict[str, Any] = TypeAdapter(type(section)).dump_python(section, mode="json")
+    return dumped

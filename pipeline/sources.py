@@ -1,0 +1,127 @@
+"""What the batches of a run are drawn from: its own experience, D, and what D grows by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import TensorDictReplayBuffer
+
+from envs import Task
+from envs.steps import counted_steps
+from pipeline import components
+from pipeline.data.buffers import DemonstrationDistribution, GrownDemonstrations, make_buffer
+from pipeline.data.demonstrations import Demonstrations
+from pipeline.data.mixture import DRAWS, Mixture
+from pipeline.data.rows import ROW_KEYS, TransitionRows
+from pipeline.files.time_use import TimeUse
+from pipeline.growth import demonstration_distribution
+from pipeline.recipe import Recipe
+from pipeline.updates import frames_before_learning, portion_frames, updates_per_portion
+
+ROW_LIMIT = 1_000_000
+"""The main buffer holds the whole run up to this many frames, or ``sampler.capacity``."""
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The buffers of a run.
+
+    Attributes:
+        main: of the run's own experience.
+        grown: the part of D that grows; None where nothing may join it.
+        demos: D; None without demonstrations.
+        mixture: draws the batches of both.
+        to_rows: how experience becomes rows.
+        episode_rows: how whole episodes do.
+        simulator_steps: that filling them has taken.
+    """
+
+    main: TensorDictReplayBuffer
+    grown: GrownDemonstrations | None
+    demos: DemonstrationDistribution | None
+    mixture: Mixture
+    to_rows: TransitionRows
+    episode_rows: TransitionRows
+    simulator_steps: int
+
+
+def make_sources(
+    recipe: Recipe, task: Task, demos: Demonstrations | None, time_use: TimeUse
+) -> Sources:
+    """The buffers; what is preloaded is in them, and with ILD a BC model's episodes.
+
+    Raises:
+        ValueError: If a size or a share in the configuration cannot be.
+    """
+    to_rows = components.make_rows(recipe)
+    episode_rows = components.make_episode_rows(recipe)
+    preloaded = _preloaded(recipe, demos)
+    main = make_buffer(_capacity(recipe) + len(preloaded), recipe.device)
+    if len(preloaded):
+        main.extend(preloaded)
+    with counted_steps() as rolled_out:
+        grown, distribution = demonstration_distribution(
+            recipe, task, demos, episode_rows, time_use
+        )
+    mixture = Mixture(
+        main,
+        distribution,
+        main_rows=recipe.sampler.batch_size,
+        demo_rows=_demo_rows(recipe),
+        draws=min(updates_per_portion(recipe), DRAWS),
+        device=recipe.device,
+    )
+    return Sources(main, grown, distribution, mixture, to_rows, episode_rows, rolled_out.taken)
+
+
+def _preloaded(recipe: Recipe, demos: Demonstrations | None) -> TensorDictBase:
+    """Rows of the demonstrations for the main buffer, which holds as many more; often none."""
+    if demos is None or not recipe.sampler.preload:
+        return TensorDict({}, [0])
+    return demos.rows.select(*ROW_KEYS)
+
+
+def _demo_rows(recipe: Recipe) -> int:
+    """Rows of a batch that are drawn from the demonstrations.
+
+    Raises:
+        ValueError: If a share is asked for that is less than half a row.
+    """
+    ratio, rows = recipe.sampler.demo_ratio, recipe.sampler.batch_size
+    demo_rows = round(ratio * rows)
+    if ratio > 0 and rows > 0 and demo_rows == 0:
+        raise ValueError(
+            f"sampler.demo_ratio ({ratio}) of sampler.batch_size ({rows}) is less than a row, so "
+            f"nothing would be imitated: set it to at least {1 / rows:.2g}, or to 0."
+        )
+    return demo_rows
+
+
+def _capacity(recipe: Recipe) -> int:
+    """Rows of the main buffer.
+
+    Raises:
+        ValueError: If it cannot hold what is stored at once, or if nothing could be stored before
+            the first update.
+    """
+    copies, n_step = recipe.env.num_envs, recipe.loss.n_step
+    steps = frames_before_learning(recipe) // copies
+    if steps < min(n_step, recipe.env.horizon or n_step):
+        raise ValueError(
+            f"loss.n_step ({n_step}) needs as many steps of each environment before the first "
+            f"update, which comes after {steps}: set collector.random_frames or "
+            f"collector.frames_per_batch to at least {n_step * copies}."
+        )
+    # With a portion come rows that waited for it.
+    at_once = portion_frames(recipe) + copies * (n_step - 1)
+    capacity = recipe.sampler.capacity
+    if capacity is None:
+        return max(min(recipe.collector.total_frames, ROW_LIMIT), at_once)
+    if capacity < at_once:
+        raise ValueError(
+            f"sampler.capacity ({capacity}) must hold at least one collected batch and the rows "
+            f"that wait for it, {at_once}: collector.frames_per_batch is "
+            f"{recipe.collector.frames_per_batch}, loss.n_step {n_step}."
+        )
+    return capacity

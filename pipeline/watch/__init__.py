@@ -1,0 +1,1 @@
+"""What a living run is judged by: diagnostics, the alarm, loggers."""
