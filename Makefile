@@ -10,18 +10,21 @@ SHELL := /bin/sh
 VENV ?= .venv
 PYTHON ?= python3
 # Optional dependencies of pyproject.toml to install: e.g. make train EXTRAS=dev,video,sweep,wandb
-EXTRAS ?= dev,video,sweep,results
+EXTRAS ?= dev,video,sweep,results,report,likeness,docs
 # Which build of torch is tried first; `make install TORCH_BUILD=` takes the index's own (GPU) build.
 TORCH_BUILD ?= cpu
 
 PACKAGES := configs envs losses pipeline
-CODE := $(wildcard $(PACKAGES) tests benchmarks)
+CODE := $(wildcard bcsac.py $(PACKAGES) tests benchmarks docs)
 VENV_PYTHON := $(VENV)/bin/python
 RUN_PYTHON = $(VENV_PYTHON) -u
 # One stamp for each set of extras, so that asking for another set installs it.
 comma := ,
 STAMP := $(VENV)/.installed-$(subst $(comma),-,$(EXTRAS))
 PIP := $(VENV_PYTHON) -m pip --disable-pip-version-check
+LOWEST := .venv-lowest
+AUDIT := .venv-audit
+LOWEST_PIP = $(LOWEST)/bin/python -m pip --disable-pip-version-check install -qq
 TORCH_VERSION := $(shell sed -n 's/^torch==//p' constraints.txt)
 
 # glibc gives freed memory back to the kernel and pages it in again at the next update, for networks
@@ -30,20 +33,33 @@ export MALLOC_MMAP_THRESHOLD_ ?= 33554432
 export MALLOC_TRIM_THRESHOLD_ ?= 8589934592
 
 # ---- what a command was given -----------------------------------------------------------------
-# Paths go to Hydra in single quotes, because a bare = or , in one would be read as grammar.
+# $(call quoted,NAME): the value of NAME as one word of the shell, whatever it holds: of $, quotes
+# and spaces too. $(call path,key,NAME): key='value', whose quotes pipeline/literals.py takes off.
+quoted = '$(subst ','\'',$(value $(1)))'
+path = $(if $(value $(2)),$(1)=\'$(call quoted,$(2))\')
 TRAIN_ARGS = $(if $(VARIANT),variant=$(VARIANT)) $(if $(PRESET),preset=$(PRESET)) \
-	$(if $(DEMOS),"demos.source='$(DEMOS)'") $(if $(RUN),"run_dir='$(RUN)'") \
-	$(if $(RESUME),"resume='$(RESUME)'") $(ARGS)
-OUT_ARGS = $(if $(OUT),--out "$(OUT)")
+	$(call path,task.name,TASK) $(call path,demos.source,DEMOS) $(call path,run_dir,RUN) \
+	$(call path,resume,RESUME) $(ARGS)
+OUT_ARGS = $(if $(value OUT),--out $(call quoted,OUT))
+TASK_ARGS = $(if $(value TASK),--task $(call quoted,TASK))
 EPISODE_ARGS = $(if $(EPISODES),--episodes $(EPISODES))
+# Doors were what one could begin at; STARTS is of every task.
+CHOSEN = $(if $(STARTS),$(STARTS),$(DOORS))
+CHOICE_ARGS = $(EPISODE_ARGS) $(if $(CHOSEN),--starts "$(CHOSEN)") $(if $(WORST),--worst $(WORST))
+VIEW_ARGS = $(if $(value WITH),--with $(call quoted,WITH)) $(if $(value CAMERA),--camera $(call quoted,CAMERA))
 VARIANTS ?= $(sort $(basename $(notdir $(wildcard configs/variant/*.yaml))))
 SMOKE_EPISODES ?= 4
+JOBS ?= 2
+SEED ?= 0
+KILLS ?= 200
+FILES ?= 1000
 
 # $(call require,targets,NAME,example): stop before anything is installed when NAME is missing.
-require = $(foreach goal,$(filter $(1),$(MAKECMDGOALS)),$(if $($(2)),,$(error \
+require = $(foreach goal,$(filter $(1),$(MAKECMDGOALS)),$(if $(value $(2)),,$(error \
 	make $(goal) needs $(2)=..., for example: make $(goal) $(2)=$(3))))
-$(call require,eval record video plot,RUN,runs/my_run)
-$(call require,table,RUNS,"runs/one runs/two")
+$(call require,eval robust video play plot,RUN,runs/my_run)
+$(if $(value RUN)$(value POLICY),,$(call require,record,RUN,runs/my_run or TASK=... POLICY=path.py:function))
+$(call require,table report strip,RUNS,"runs/one runs/two")
 
 # ---- the rows of the tables: one run for each row and seed ------------------------------------
 ROWS ?= sac bc bc_sac_0.1 bc_sac_1 bc_sac_10 dbc_sac sid_bc sid_dbc ila_bc ila_dbc da_sac
@@ -59,56 +75,77 @@ ROW_EVALUATIONS = $(foreach seed,$(SEEDS),$(foreach row,$(ROWS),$(ROW_RUNS)/$(ro
 help: ## print this list
 	@awk 'BEGIN { FS = ":.*## " } \
 	  /^##@/ { printf "\n%s\n", substr($$0, 5) } \
-	  /^[a-z][a-z-]*:.*## / { printf "  %-13s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	  /^[a-z][a-z-]*:.*## / { printf "  %-13s %s\n", $$1, $$2 } \
+	  END { printf "\nTASK is door, hammer, pen, relocate, gymnasium:ID, gymnasium:MODULE:ID, dm_control:DOMAIN/TASK, path/to/file.py[:NAME]\n" \
+	    "(a Task, a gymnasium.Env class or a function that makes one), or an entry point of bcsac.tasks.\n" }' $(firstword $(MAKEFILE_LIST))
 
 .PHONY: install
 install: $(STAMP) ## create or update .venv [EXTRAS=dev,video,sweep,wandb,mlflow] [TORCH_BUILD=cpu]
 
 .PHONY: train
-train: $(STAMP) ## train a policy [VARIANT=...] [PRESET=smoke|default|paper] [DEMOS=...] [RUN=dir] [RESUME=dir] [ARGS="..."]
+train: $(STAMP) ## train a policy [TASK=door|hammer|pen|relocate|gymnasium:ID|dm_control:DOMAIN/TASK|path/to/file.py[:NAME]|...] [VARIANT=...] [PRESET=smoke|default|paper] [DEMOS=...] [RUN=dir] [RESUME=dir] [ARGS="..."]
 	@$(RUN_PYTHON) -m pipeline.train $(TRAIN_ARGS)
 
 .PHONY: eval
-eval: $(STAMP) ## evaluate RUN=dir over fixed doors [EPISODES=1000] [OUT=file] [ARGS="..."]
-	@$(RUN_PYTHON) -m pipeline.cli eval "$(RUN)" $(EPISODE_ARGS) $(OUT_ARGS) $(ARGS)
+eval: $(STAMP) ## evaluate RUN=dir over its task's fixed episodes [EPISODES=1000] [TASK=...] [DEMOS=path: how alike to these it moves] [STRATEGIES=0: not how it goes about it] [OUT=file] [ARGS="..."]
+	@$(RUN_PYTHON) -m pipeline.cli eval $(call quoted,RUN) $(TASK_ARGS) $(EPISODE_ARGS) $(if $(value DEMOS),--demos $(call quoted,DEMOS)) $(if $(STRATEGIES),--$(if $(filter 0,$(STRATEGIES)),no-)strategies) $(OUT_ARGS) $(ARGS)
+
+.PHONY: robust
+robust: $(STAMP) ## play RUN=dir under noise, delays, other models and starts, and say what breaks it [EPISODES=200] [BAR=0.9] [ONLY=delay,mass] [TASK=...] [OUT=dir]
+	@$(RUN_PYTHON) -m pipeline.cli robust $(call quoted,RUN) $(TASK_ARGS) $(EPISODE_ARGS) $(if $(BAR),--bar $(BAR)) $(if $(ONLY),--only $(call quoted,ONLY)) $(OUT_ARGS) $(ARGS)
 
 .PHONY: table
 table: $(STAMP) ## RUNS="dir dir ..." beside the paper's Tables I and II [OUT=file]
 	@$(RUN_PYTHON) -m pipeline.cli table $(RUNS) $(OUT_ARGS) $(ARGS)
 
 .PHONY: rows
-rows: $(ROW_EVALUATIONS) ## train and evaluate the tables' rows, or go on with them; -j2 runs two at a time [ROWS="..."] [SEEDS="0 1"] [DEMOS=...]
+rows: ## train and evaluate the tables' rows, or go on with them; -j2 runs two at a time [ROWS="..."] [SEEDS="0 1"] [DEMOS=...]
+	@$(MAKE) --no-print-directory --keep-going $(ROW_EVALUATIONS) || { \
+	  for file in $(ROW_EVALUATIONS); do test -s "$$file" || echo "make rows: no $$file" >&2; done; exit 1; }
 
 # A row is a variant; bc_sac_X is bc_sac with lambda = X. One thread a run: runs share the cores.
 $(ROW_RUNS)/%/evaluation.json: | $(STAMP)
 	@set -e; run="$(@D)"; row="$(patsubst %/,%,$(dir $*))"; seed="$(patsubst seed%,%,$(notdir $*))"; \
+	demos=$(call quoted,DEMOS); \
 	threads="torch_threads=1 env.num_threads=1 logging.progress=false"; \
 	case "$$row" in \
 	  bc_sac_*) what="variant=bc_sac loss.bc_weight.init=$${row#bc_sac_}";; *) what="variant=$$row";; esac; \
-	if ls "$$run"/checkpoints/checkpoint-* >/dev/null 2>&1; then what="resume=$$run"; \
-	else rm -rf "$$run"; what="$$what preset=$(ROW_PRESET) seed=$$seed run_dir=$$run $(if $(DEMOS),demos.source='$(DEMOS)') $(ARGS)"; fi; \
-	OMP_NUM_THREADS=1 $(RUN_PYTHON) -m pipeline.train $$what $$threads; \
+	if test -f "$$run/config.yaml"; then what="resume=$$run"; demos=; \
+	else rm -rf "$$run"; what="$$what preset=$(ROW_PRESET) seed=$$seed run_dir=$$run $(ARGS)"; fi; \
+	OMP_NUM_THREADS=1 $(RUN_PYTHON) -m pipeline.train $$what $${demos:+"demos.source='$$demos'"} $$threads; \
 	OMP_NUM_THREADS=1 $(RUN_PYTHON) -m pipeline.cli eval "$$run" env.num_threads=1
 
 .PHONY: results
 results: $(STAMP) ## publish the evaluated runs below ROW_RUNS=runs/rows to docs/results [OUT=dir]
 	@$(RUN_PYTHON) -m pipeline.cli results "$(ROW_RUNS)" $(OUT_ARGS) $(ARGS)
 
+.PHONY: report
+report: $(STAMP) ## one page about RUNS="dir dir ..." (also folders of them, docs/results): intervals, curves, maps, failures, provenance [ONLY=strategies,robustness] [OUT=runs/report]
+	@$(RUN_PYTHON) -m pipeline.cli report $(RUNS) $(if $(ONLY),--only $(call quoted,ONLY)) $(OUT_ARGS) $(ARGS)
+
 .PHONY: plot
 plot: $(STAMP) ## diagnostics of RUN=dir over frames [OUT=file]
-	@$(RUN_PYTHON) -m pipeline.cli plot "$(RUN)" $(OUT_ARGS)
+	@$(RUN_PYTHON) -m pipeline.cli plot $(call quoted,RUN) $(OUT_ARGS)
 
 .PHONY: demos-check
-demos-check: $(STAMP) ## validate and re-simulate demonstrations, one line each [DEMOS=bundled|path|minari:ID]
-	@$(RUN_PYTHON) -m pipeline.cli demos-check $(if $(DEMOS),"$(DEMOS)") $(ARGS)
+demos-check: $(STAMP) ## validate and replay demonstrations [DEMOS=bundled|path|minari:ID] [TASK=...]
+	@$(RUN_PYTHON) -m pipeline.cli demos-check $(if $(value DEMOS),$(call quoted,DEMOS)) $(TASK_ARGS) $(ARGS)
 
 .PHONY: record
-record: $(STAMP) ## write successful episodes of RUN=dir as a demonstration file [EPISODES=n] [OUT=file]
-	@$(RUN_PYTHON) -m pipeline.cli record "$(RUN)" $(EPISODE_ARGS) $(OUT_ARGS) $(ARGS)
+record: $(STAMP) ## write successful episodes as demonstrations: of RUN=dir [TASK=...], or of TASK=... POLICY=path.py:function [EPISODES=25] [OUT=x.h5|x.hdf5|minari:ID]
+	@$(RUN_PYTHON) -m pipeline.cli record $(call quoted,RUN) $(TASK_ARGS) $(if $(value POLICY),--policy $(call quoted,POLICY)) $(EPISODE_ARGS) $(OUT_ARGS) $(ARGS)
 
 .PHONY: video
-video: $(STAMP) ## film RUN=dir opening doors [EPISODES=n] [OUT=file]
-	@$(RUN_PYTHON) -m pipeline.cli video "$(RUN)" $(EPISODE_ARGS) $(OUT_ARGS) $(ARGS)
+video: $(STAMP) ## film RUN=dir at its task [EPISODES=n | STARTS=3,17 | WORST=n] [WITH=dir|demos|source: beside it] [CAMERA=name] [TASK=...] [OUT=x.mp4|x.gif]
+	@$(RUN_PYTHON) -m pipeline.cli video $(call quoted,RUN) $(TASK_ARGS) $(CHOICE_ARGS) $(VIEW_ARGS) $(OUT_ARGS) $(ARGS)
+
+.PHONY: play
+play: $(STAMP) ## watch RUN=dir in a window, where there is a display [EPISODES=n | STARTS=3,17 | WORST=n] [TASK=...]
+	@$(RUN_PYTHON) -m pipeline.cli play $(call quoted,RUN) $(TASK_ARGS) $(CHOICE_ARGS) $(ARGS)
+
+.PHONY: strip
+strip: $(STAMP) ## one picture with a row of moments for each of RUNS="dir dir ..." [WITH=demos|source: the first row] [CAMERA=name] [OUT=x.png] [ARGS="--episode 3 --until 120"]
+	@$(RUN_PYTHON) -m pipeline.cli strip $(RUNS) $(TASK_ARGS) $(VIEW_ARGS) $(OUT_ARGS) $(ARGS)
 
 ##@ Develop
 
@@ -120,6 +157,12 @@ bench: ## measure speed and memory against other packages [SECTION="update loop"
 .PHONY: test
 test: $(STAMP) ## run the tests [ARGS="-k name" or "-m slow" or a path]
 	@OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV_PYTHON) -m pytest -q -n auto --maxprocesses 4 $(ARGS)
+
+.PHONY: torture
+torture: $(STAMP) ## damage the files of a run and of others, kill runs, and count what comes of it [SEED=0] [KILLS=200] [FILES=1000]
+	@OMP_NUM_THREADS=1 $(VENV_PYTHON) -m tests.faults.torture --seed $(SEED) $(ARGS)
+	@OMP_NUM_THREADS=1 $(VENV_PYTHON) -m tests.faults.mutants --seed $(SEED) --files $(FILES)
+	@OMP_NUM_THREADS=1 $(VENV_PYTHON) -m tests.faults.kills --seed $(SEED) --kills $(KILLS)
 
 .PHONY: coverage
 coverage: $(STAMP) ## run the tests and list the lines that they do not reach
@@ -153,19 +196,49 @@ arch: $(STAMP) ## import-linter: which package may import which
 spelling: $(STAMP) ## codespell
 	@$(VENV_PYTHON) -m codespell_lib
 
+# The older releases stand in front of the pins of everything else, and torch is the same build.
+.PHONY: check-lowest
+check-lowest: ## tests of envs and losses and a smoke training with the oldest releases of constraints-lowest.txt, in .venv-lowest
+	@$(MAKE) --no-print-directory $(LOWEST)/bin/python VENV=$(LOWEST)
+	@awk -F== 'NR == FNR { low[$$1]; print; next } !($$1 in low)' constraints-lowest.txt constraints.txt > $(LOWEST)/constraints.txt
+	@{ test -n "$(TORCH_BUILD)" && $(LOWEST_PIP) -c $(LOWEST)/constraints.txt "torch==$(TORCH_VERSION)+$(TORCH_BUILD)" 2>/dev/null; } \
+	  || $(LOWEST_PIP) -c $(LOWEST)/constraints.txt "torch==$(TORCH_VERSION)"
+	@$(LOWEST_PIP) -c $(LOWEST)/constraints.txt -e . pytest hypothesis packaging
+	@$(LOWEST)/bin/python -m pip check
+	@OMP_NUM_THREADS=1 $(LOWEST)/bin/python -m pytest -q tests/envs tests/demonstrations tests/losses $(ARGS)
+	@$(LOWEST)/bin/bcsac eval --help > /dev/null
+	@set -e; run=$$(mktemp -d); trap 'rm -rf "$$run"' EXIT; \
+	OMP_NUM_THREADS=1 $(LOWEST)/bin/python -m bcsac train variant=dbc_sac preset=smoke run_dir="$$run/smoke"; \
+	OMP_NUM_THREADS=1 $(LOWEST)/bin/python -m bcsac eval "$$run/smoke" --episodes $(SMOKE_EPISODES)
+
+# In an environment of its own: what audits is no part of what is audited.
+.PHONY: audit
+audit: $(AUDIT)/bin/pip-audit ## compare the pinned versions of constraints.txt with known vulnerabilities [ARGS="--ignore-vuln ID"]
+	@$(AUDIT)/bin/pip-audit --no-deps --disable-pip --progress-spinner off -r constraints.txt $(ARGS)
+
+$(AUDIT)/bin/pip-audit:
+	@$(PYTHON) -m venv $(AUDIT)
+	@$(AUDIT)/bin/python -m pip --disable-pip-version-check install -qq 'pip-audit>=2.7'
+
 .PHONY: smoke
-smoke: $(STAMP) ## train and evaluate every variant for a few seconds [VARIANTS="sac bc"] [ARGS="..."]
+smoke: $(STAMP) ## train and evaluate every variant for a few seconds [VARIANTS="sac bc"] [JOBS=2] [ARGS="..."]
 	@test -n "$(strip $(VARIANTS))" || { echo "make smoke: no configs/variant/*.yaml found" >&2; exit 2; }
-	@set -e; \
-	runs=$$(mktemp -d); trap 'rm -rf "$$runs"' EXIT; trap 'exit 130' INT TERM; \
-	for variant in $(VARIANTS); do \
-	  began=$$(date +%s); echo "==== smoke: $$variant"; \
-	  $(MAKE) --no-print-directory train VARIANT=$$variant PRESET=smoke RUN="$$runs/$$variant"; \
-	  $(MAKE) --no-print-directory eval RUN="$$runs/$$variant" EPISODES=$(SMOKE_EPISODES) ARGS=; \
-	  test -s "$$runs/$$variant/evaluation.json" || \
-	    { echo "make smoke: $$variant wrote no evaluation.json" >&2; exit 1; }; \
-	  echo "==== smoke: $$variant took $$(( $$(date +%s) - began )) s"; \
-	done
+	@runs=$$(mktemp -d); trap 'rm -rf "$$runs"' EXIT; trap 'exit 130' INT TERM; \
+	OMP_NUM_THREADS=1 $(MAKE) --no-print-directory -j$(JOBS) SMOKE_RUNS="$$runs" $(addprefix smoke-,$(VARIANTS))
+
+# Told when it is over: several run together.
+smoke-%: $(STAMP)
+	@runs="$(SMOKE_RUNS)"; test -n "$$runs" || runs=$$(mktemp -d); began=$$(date +%s); \
+	{ $(MAKE) --no-print-directory train VARIANT=$* PRESET=smoke RUN="$$runs/$*" && \
+	  $(MAKE) --no-print-directory eval RUN="$$runs/$*" EPISODES=$(SMOKE_EPISODES) DEMOS= ARGS= && \
+	  test -s "$$runs/$*/evaluation.json"; } > "$$runs/$*.log" 2>&1; failed=$$?; \
+	echo "==== smoke: $*"; cat "$$runs/$*.log"; \
+	test $$failed -eq 0 || { echo "make smoke: $* failed" >&2; exit 1; }; \
+	echo "==== smoke: $* took $$(( $$(date +%s) - began )) s"
+
+.PHONY: docs
+docs: $(STAMP) ## build the documentation site; a warning or a dead link is an error [OUT=site]
+	@OMP_NUM_THREADS=1 $(VENV_PYTHON) -m docs.site $(if $(value OUT),$(call quoted,OUT))
 
 .PHONY: hooks
 hooks: $(STAMP) ## run the checks before each git commit (pre-commit)
@@ -179,12 +252,12 @@ lock: | $(VENV_PYTHON) ## write the versions that .venv holds now to constraints
 
 .PHONY: clean
 clean: ## remove caches and build output; runs/ and .venv stay
-	rm -rf build dist *.egg-info .coverage* htmlcov .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf build dist site *.egg-info .coverage* htmlcov .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find $(CODE) -name __pycache__ -type d -exec rm -rf {} +
 
 .PHONY: distclean
 distclean: clean ## clean, and remove .venv and the project's cache too
-	rm -rf $(VENV) .cache
+	rm -rf $(VENV) $(LOWEST) $(AUDIT) .cache
 
 # ---- the virtual environment ------------------------------------------------------------------
 $(VENV_PYTHON):
@@ -195,15 +268,28 @@ $(VENV_PYTHON):
 	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
 	  echo "make: could not create $(VENV); on Debian: apt-get install python3-venv" >&2; exit 2; }
 
+define of_this_checkout
+import importlib.metadata as m, json, os, sys, urllib.parse as u, urllib.request as r
+found = next((d for d in m.distributions(name="bc-sac") if d.read_text("direct_url.json")), None)
+url = json.loads(found.read_text("direct_url.json"))["url"] if found else ""
+there = r.url2pathname(u.urlparse(url).path)
+if there and os.path.isdir(there) and not os.path.samefile(there, os.getcwd()):
+    sys.exit("make: VENV=$(VENV) is of the checkout " + there + "; name another: make VENV=.venv")
+endef
+export of_this_checkout
+
 # torch comes first and alone: a build that is there already is kept, else the one named by
 # TORCH_BUILD is tried, and an index without it (pip says so; hence no output) has its usual one.
+# An environment imports one checkout: installing another into it would change what its owner runs.
 $(STAMP): pyproject.toml constraints.txt | $(VENV_PYTHON)
+	@$(VENV_PYTHON) -c "$$of_this_checkout"
 	@echo "installing into $(VENV) (the first time takes some minutes)"
 	@$(VENV_PYTHON) -c 'import sys, importlib.metadata as m; \
 	sys.exit(m.version("torch").split("+")[0] != "$(TORCH_VERSION)")' 2>/dev/null \
 	|| { test -n "$(TORCH_BUILD)" && \
 	     $(PIP) install -qq "torch==$(TORCH_VERSION)+$(TORCH_BUILD)" -c constraints.txt 2>/dev/null; } \
 	|| $(PIP) install -qq "torch==$(TORCH_VERSION)" -c constraints.txt
+	@$(PIP) uninstall -qqy bc-sac-door  # the distribution's name before it was bc-sac
 	@$(PIP) install -qq -c constraints.txt -e ".$(if $(EXTRAS),[$(EXTRAS)])"
 	@$(PIP) check
 	@touch $@

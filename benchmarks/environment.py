@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import torch
 from tensordict import TensorDictBase
+from torchrl.envs import EnvBase
 
 from benchmarks.effort import Effort
 from benchmarks.raw_door import RawDoor
 from benchmarks.statistics import rounded, spread
 from benchmarks.worker import Entry, available_cores, race
-from envs import make_env
+from envs import EnvOptions, find_task
 from envs.door.scene import build_scene
 from envs.door.task import ACTION_SIZE, HORIZON
 
@@ -30,43 +31,45 @@ RECORDED = 8
 
 
 class Doors:
-    """``make_env("door")`` with automatic resets, as the collector steps it.
+    """``make_env("door")`` with automatic resets, as the collector steps it; or another hand task.
 
     Doors stand in all phases of an episode from the start: the first steps after a reset, before
     anything is touched, cost less than the others, and a block of many doors is but a few steps.
     """
 
-    def __init__(self, count: int, threads: int) -> None:
-        self.env = make_env("door", num_envs=count, seed=0, num_threads=threads)
+    def __init__(self, count: int, threads: int, task: str = "door") -> None:
+        self.env = find_task(task).make_env(EnvOptions(num_envs=count, seed=0, num_threads=threads))
         self.td: TensorDictBase = self.env.reset()
-        self.env.set_extra_state(_states_in_all_phases(count))
+        self.env.set_extra_state(_states_in_all_phases(task, count))
         self.steps = max(1, CALL_STEPS // count)
         self.units = float(self.steps * count)
-        self.actions = _random_actions(count)
+        self.actions = _random_actions(self.env)
         self.step = 0
 
     def call(self) -> None:
         """Some steps of all doors."""
         for _ in range(self.steps):
-            self.td["action"] = self.actions[self.step % HORIZON]
+            self.td["action"] = self.actions[self.step % len(self.actions)]
             _, self.td = self.env.step_and_maybe_reset(self.td)
             self.step += 1
 
 
-def _random_actions(count: int) -> torch.Tensor:
-    return torch.rand(HORIZON, count, ACTION_SIZE) * 2 - 1
+def _random_actions(env: EnvBase) -> torch.Tensor:
+    """For every step of an episode, in [-1, 1]."""
+    horizon: int = env.horizon
+    return torch.rand(horizon, *env.action_spec.shape) * 2 - 1
 
 
-def _states_in_all_phases(count: int) -> dict[str, torch.Tensor]:
-    """What ``DoorEnv.set_extra_state`` takes: doors taken evenly from those of some episodes."""
-    env = make_env("door", num_envs=RECORDED, seed=0)
+def _states_in_all_phases(task: str, count: int) -> dict[str, torch.Tensor]:
+    """What ``HandEnv.set_extra_state`` takes: copies taken evenly from those of some episodes."""
+    env = find_task(task).make_env(EnvOptions(num_envs=RECORDED, seed=0))
     td = env.reset()
     states = []
-    for action in _random_actions(RECORDED):
+    for action in _random_actions(env):
         states.append(env.get_extra_state())
         td = env.step_mdp(env.step(td.set("action", action)))
     env.close()
-    evenly = torch.linspace(0, RECORDED * HORIZON - 1, count).long()
+    evenly = torch.linspace(0, RECORDED * len(states) - 1, count).long()
     joined = {
         key: torch.cat([state[key] for state in states]) for key in states[0] if key != "seed"
     }

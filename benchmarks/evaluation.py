@@ -23,12 +23,14 @@ from benchmarks.effort import Effort
 from benchmarks.raw_door import RawDoor
 from benchmarks.statistics import rounded, spread
 from benchmarks.worker import available_cores, run_once
-from configs import compose_config
-from configs.schema import Config
+from configs import compose
+from envs import find_task
 from envs.door.scene import DoorScene, build_scene
 from envs.door.starts import door_position
 from pipeline import components
 from pipeline.cloning import behaviour_cloned
+from pipeline.data.demonstrations import make_demonstrations
+from pipeline.recipe import Recipe
 
 BC_UPDATES = 1_000
 
@@ -94,7 +96,7 @@ def compare(doors: int, rounds: int) -> dict[str, Any]:
     """Evaluates and replays in turn, on as many threads as this worker may use."""
     threads = available_cores()
     with tempfile.TemporaryDirectory() as folder:
-        config: Config = compose_config(
+        recipe: Recipe = compose(
             "variant=bc_sac",
             "preset=default",
             "demos.multiply.enabled=false",
@@ -104,16 +106,17 @@ def compare(doors: int, rounds: int) -> dict[str, Any]:
             "logging.loggers=[csv]",
             "evaluation.interval=0",
             f"cache_dir={folder}",
-            f"run_dir={folder}/run",
         )
-        demos = components.make_demonstrations(
-            config.demos,
-            components.make_rows(config),
+        task = find_task(recipe.task.name)
+        demos = make_demonstrations(
+            recipe.demos,
+            task,
+            components.make_rows(recipe),
             cache_dir=Path(folder),
             num_threads=threads,
         )
-        policy = behaviour_cloned(config, demos)
-    evaluator = components.make_evaluator(config, episodes=doors)
+        policy = behaviour_cloned(recipe, task, demos)
+    evaluator = components.make_evaluator(recipe, task, episodes=doors)
     recorder = Recorder(policy)
     rollouts = evaluator.run(recorder)
     episodes = by_episode(recorder.actions, rollouts.lengths, min(evaluator.batch, doors))

@@ -7,7 +7,7 @@ from typing import Any
 from benchmarks.effort import Effort
 from benchmarks.statistics import rounded
 from benchmarks.worker import run_once
-from configs import compose_config
+from configs import compose
 
 PRESETS = ("default", "paper")
 
@@ -23,7 +23,7 @@ def run(effort: Effort) -> dict[str, Any]:
     detail = effort.as_json(unit="MiB", precision="auto")
     for preset in PRESETS:
         chosen = ["variant=dbc_sac", f"preset={preset}"]
-        whole = compose_config(*chosen)
+        whole = compose(*chosen)
         batch = whole.collector.frames_per_batch
         frames = max(batch, effort.memory_frames // batch * batch)
         short = [

@@ -12,17 +12,19 @@ import torch
 from tensordict import TensorDict
 
 from benchmarks.baselines import finish
-from configs import compose_config
-from configs.schema import Config
+from configs import compose
+from envs import find_task
 from envs.door.task import ACTION_SIZE, OBSERVATION_SIZE
 from pipeline import components
-from pipeline.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
-from pipeline.compute import hidden_dtype, replays_updates, resolve_compute
+from pipeline.compute import hidden_dtype, resolve_compute
+from pipeline.data.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
+from pipeline.data.mixture import DRAWS, Mixture
+from pipeline.data.rows import TransitionRows
 from pipeline.hooks import DemoUpdateHook
-from pipeline.mixture import DRAWS, Mixture
-from pipeline.products import use_onednn
-from pipeline.rows import TransitionRows
-from pipeline.stepper import BCSACStepper, StepRhythm
+from pipeline.learn.stepper import BCSACStepper
+from pipeline.machine.products import use_onednn
+from pipeline.recipe import Recipe
+from pipeline.updates import actor_updates
 
 EPISODE = 200
 """Steps of the made-up episodes that fill the buffers."""
@@ -45,33 +47,17 @@ def paper_size(variant: str, width: int, batch: int) -> list[str]:
     ]
 
 
-def make_stepper(config: Config) -> BCSACStepper:
+def make_stepper(recipe: Recipe) -> BCSACStepper:
     """The networks, the loss and the stepper of a run with this (decided) configuration."""
-    env = components.make_training_env(config)
-    dtype = hidden_dtype(config)
-    actor = components.make_policy(config.actor, env, None, config.device, dtype)
-    critic = components.make_critic(config.critic, env, None, config.device, dtype)
+    env = components.make_training_env(recipe, find_task(recipe.task.name))
+    dtype = hidden_dtype(recipe)
+    actor = components.make_policy(recipe.actor, env, None, recipe.device, dtype)
+    critic = components.make_critic(recipe.critic, env, None, recipe.device, dtype)
     env.close()
-    updates = components.actor_updates(config)
-    rows = config.sampler.batch_size
-    loss = components.make_loss(config.loss, actor, critic, ACTION_SIZE, updates, main_rows=rows)
-    optim = config.optim
-    return BCSACStepper(
-        loss,
-        actor_lr=optim.actor_lr,
-        critic_lr=optim.critic_lr,
-        temperature_lr=optim.temperature_lr,
-        rhythm=StepRhythm(
-            actor_period=optim.actor_period,
-            target_period=optim.target_period,
-            actor_delay=optim.actor_delay,
-            diagnostics_period=optim.diagnostics_period,
-        ),
-        bc_gradient_ratio=config.loss.bc_gradient_ratio,
-        max_grad_norm=optim.max_grad_norm,
-        cuda_graphs=replays_updates(config),
-        compile_updates=bool(config.compile_updates),
-    )
+    updates = actor_updates(recipe)
+    rows = recipe.sampler.batch_size
+    loss = components.make_loss(recipe.loss, actor, critic, ACTION_SIZE, updates, main_rows=rows)
+    return components.make_stepper(recipe, loss)
 
 
 def random_rows(count: int, to_rows: TransitionRows) -> TensorDict:
@@ -101,7 +87,7 @@ class Updater:
     """A stepper on batches drawn from filled buffers; a call is some updates, sampling included.
 
     Args:
-        config: Of the run.
+        recipe: Of the run.
         replay_rows: Rows in the main buffer.
         demo_rows: Rows of the demonstrations.
         updates: Ordinary updates of a call.
@@ -109,34 +95,34 @@ class Updater:
     """
 
     def __init__(
-        self, config: Config, *, replay_rows: int, demo_rows: int, updates: int, frame: bool
+        self, recipe: Recipe, *, replay_rows: int, demo_rows: int, updates: int, frame: bool
     ) -> None:
-        self.stepper = make_stepper(config)
-        to_rows = components.make_rows(config)
-        main = make_buffer(replay_rows, config.device)
+        self.stepper = make_stepper(recipe)
+        to_rows = components.make_rows(recipe)
+        main = make_buffer(replay_rows, recipe.device)
         for first in range(0, replay_rows, CHUNK):
             main.extend(random_rows(min(CHUNK, replay_rows - first), to_rows))
         demos = DemonstrationDistribution(
-            make_core_buffer(random_rows(demo_rows, to_rows), config.device)
+            make_core_buffer(random_rows(demo_rows, to_rows), recipe.device)
         )
-        rows = config.sampler.batch_size
+        rows = recipe.sampler.batch_size
         self.mixture = Mixture(
             main,
             demos,
             main_rows=rows,
-            demo_rows=round(config.sampler.demo_ratio * rows),
+            demo_rows=round(recipe.sampler.demo_ratio * rows),
             # As many batches at a time as the run has updates between two portions of frames.
             draws=min(
-                round(config.optim.updates_per_frame * config.collector.frames_per_batch), DRAWS
+                round(recipe.optim.updates_per_frame * recipe.collector.frames_per_batch), DRAWS
             ),
-            device=config.device,
+            device=recipe.device,
         )
         self.updates = updates
         self.demo_update: DemoUpdateHook | None = None
         performed = float(updates)
-        period = config.sampler.demo_update_period
+        period = recipe.sampler.demo_update_period
         if period:
-            demo_batches = Mixture(None, demos, main_rows=0, demo_rows=rows, device=config.device)
+            demo_batches = Mixture(None, demos, main_rows=0, demo_rows=rows, device=recipe.device)
             self.demo_update = DemoUpdateHook(self.stepper, demo_batches, period)
             performed += updates / period
         self.units = 1.0 if frame else performed
@@ -171,8 +157,8 @@ def make_updater(
     """
     torch.manual_seed(0)
     threads = f"torch_threads={torch.get_num_threads()}"
-    config = resolve_compute(compose_config(*overrides, f"precision={precision}", threads))
-    use_onednn(bool(config.onednn))
+    recipe = resolve_compute(compose(*overrides, f"precision={precision}", threads))
+    use_onednn(bool(recipe.onednn))
     return Updater(
-        config, replay_rows=replay_rows, demo_rows=demo_rows, updates=updates, frame=frame
+        recipe, replay_rows=replay_rows, demo_rows=demo_rows, updates=updates, frame=frame
     )

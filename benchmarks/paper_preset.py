@@ -8,7 +8,7 @@ from typing import Any
 from benchmarks.effort import Effort
 from benchmarks.statistics import rounded
 from benchmarks.worker import run_once
-from configs import compose_config
+from configs import compose
 
 CHOSEN = ["variant=dbc_sac", "preset=paper"]
 RANDOM_SHARE = 10
@@ -44,7 +44,7 @@ def extrapolate(
 
 def run(effort: Effort) -> dict[str, Any]:
     """Key ``paper_preset``: hours for the preset's frames."""
-    whole = compose_config(*CHOSEN)
+    whole = compose(*CHOSEN)
     frames = effort.paper_frames
     random_frames = frames // RANDOM_SHARE
     short = [

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.run_dir import write_atomically
+from pipeline.files.run_files import write_atomically
 
 JSON_NAME = "latest.json"
 MARKDOWN_NAME = "latest.md"

@@ -15,7 +15,7 @@ import torch
 from benchmarks.effort import Effort
 from benchmarks.statistics import rounded, spread
 from benchmarks.worker import Entry, Timing, available_cores, race, timed_block
-from pipeline.products import onednn_wins, use_onednn
+from pipeline.machine.products import onednn_wins, use_onednn
 
 SIZES = (1024, 2048)
 DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}

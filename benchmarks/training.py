@@ -8,19 +8,18 @@ from typing import Any
 
 from benchmarks import ours
 from benchmarks.worker import peak_resident_mib
-from configs import compose_config
-from configs.schema import Config
+from configs import compose
 from pipeline import components
 from pipeline.build import build_run
+from pipeline.recipe import Recipe
 
 FIRST_UPDATES = 10
 """Frames with updates after which all that a run compiles is compiled."""
 
 
-def _config(overrides: list[str], folder: str) -> Config:
+def _config(overrides: list[str], folder: str) -> Recipe:
     quiet = ["logging.progress=false", "logging.loggers=[csv]"]
-    place = [f"run_dir={folder}/run", f"cache_dir={folder}/cache"]
-    return compose_config(*overrides, *quiet, *place)
+    return compose(*overrides, *quiet, f"cache_dir={folder}/cache")
 
 
 def train_and_weigh(overrides: list[str], buffer_frames: int) -> dict[str, float]:
@@ -32,11 +31,11 @@ def train_and_weigh(overrides: list[str], buffer_frames: int) -> dict[str, float
     """
     imports = peak_resident_mib()
     with tempfile.TemporaryDirectory() as folder:
-        config = _config(overrides, folder)
-        build_run(config).train()
+        recipe = _config(overrides, folder)
+        build_run(recipe, f"{folder}/run").train()
         # Storage is mapped at once but becomes resident as rows are written.
-        unwritten = max(0, buffer_frames - config.collector.total_frames)
-        row = ours.random_rows(ours.EPISODE, components.make_rows(config)).bytes()
+        unwritten = max(0, buffer_frames - recipe.collector.total_frames)
+        row = ours.random_rows(ours.EPISODE, components.make_rows(recipe)).bytes()
     return {
         "imports_mib": imports,
         "peak_mib": peak_resident_mib(),
@@ -55,7 +54,7 @@ def train_and_time(overrides: list[str], random_frames: int) -> list[dict[str, A
     """
     moments: list[tuple[int, float]] = []
     with tempfile.TemporaryDirectory() as folder:
-        run = build_run(_config(overrides, folder))
+        run = build_run(_config(overrides, folder), f"{folder}/run")
         trainer = run.trainer
         trainer.register_op(
             "post_steps", lambda: moments.append((trainer.collected_frames, time.perf_counter()))
@@ -77,4 +76,4 @@ def train_and_time(overrides: list[str], random_frames: int) -> list[dict[str, A
         "learning_s": last[1] - warm[1],
         "closing_s": ended - last[1],
     }
-    return [timed, {"threads": run.config.torch_threads, "precision": run.config.precision}]
+    return [timed, {"threads": run.recipe.torch_threads, "precision": run.recipe.precision}]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -12,10 +14,15 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.version import Version
 
+from tests.pipeline.toys import write_demos
+
 ROOT = Path(__file__).parents[1]
 
 VARIANTS = ["sac", "bc", "bc_sac", "dbc_sac", "sid_bc", "sid_dbc", "ila_bc", "ila_dbc", "da_sac"]
-INTERFACE = ["train", "eval", "table", "demos-check", "record", "video", "test", "check", "smoke"]
+INTERFACE = [
+    *("train", "eval", "table", "demos-check", "record", "video", "play", "strip"),
+    *("test", "check", "smoke"),
+]
 PACKAGES = ["configs", "envs", "losses", "pipeline"]
 
 # Written in pieces, so that this file does not find itself.
@@ -146,7 +153,7 @@ def test_the_documents_name_only_targets_that_exist(
     assert {(name, target) for name, target in named if target not in make_help} == set()
 
 
-@pytest.mark.parametrize("target", ["eval", "record", "video", "table"])
+@pytest.mark.parametrize("target", ["eval", "record", "video", "play", "table", "strip"])
 def test_a_missing_variable_is_named_before_anything_is_installed(target: str, tmp_path: Path):
     stopped = run("make", target, f"VENV={tmp_path / 'venv'}")
     assert stopped.returncode == 2
@@ -154,14 +161,94 @@ def test_a_missing_variable_is_named_before_anything_is_installed(target: str, t
     assert not list(tmp_path.iterdir())
 
 
-def test_train_hands_paths_to_hydra_unharmed():
-    """A comma in an unquoted value is a sweep to Hydra, an equals sign an error."""
-    planned = run(
-        "make", "-n", "train", "RUN=runs/a=1,b", "ARGS=seed=3 loss.gamma=0.9", "VARIANT=bc"
-    )
-    assert "\"run_dir='runs/a=1,b'\"" in planned.stdout
+ODD = 'run\'s a=1,b $HOME ${x} $(y) `z` "q" ü;&|*#%'
+
+
+def environment(venv: Path, interpreter: str) -> Path:
+    """One with everything installed, whose interpreter is this script."""
+    (venv / "bin").mkdir(parents=True)
+    python = venv / "bin" / "python"
+    python.write_text(interpreter)
+    python.chmod(0o755)
+    stamp = re.search(r"touch (.*)$", run("make", "-n", "install", f"VENV={venv}").stdout)
+    assert stamp
+    Path(stamp[1]).touch()
+    return venv
+
+
+@pytest.fixture
+def echoing(tmp_path: Path) -> Path:
+    """An environment whose interpreter writes down its arguments."""
+    echo = f"#!{sys.executable}\nimport json, sys\nprint(json.dumps(sys.argv[1:]))\n"
+    return environment(tmp_path / "venv", echo)
+
+
+@pytest.mark.parametrize(
+    ("target", "variables", "arguments"),
+    [
+        ("train", ("RUN", "DEMOS"), [f"demos.source='{ODD}'", f"run_dir='{ODD}'"]),
+        ("train", ("RESUME",), [f"resume='{ODD}'"]),
+        ("eval", ("RUN", "OUT"), ["eval", ODD, "--out", ODD]),
+        ("demos-check", ("DEMOS",), ["demos-check", ODD]),
+        ("record", ("RUN", "OUT"), ["record", ODD, "--out", ODD]),
+        (
+            "video",
+            ("RUN", "WITH", "CAMERA", "OUT"),
+            ["video", ODD, "--with", ODD, "--camera", ODD, "--out", ODD],
+        ),
+        ("play", ("RUN",), ["play", ODD]),
+        ("plot", ("RUN", "OUT"), ["plot", ODD, "--out", ODD]),
+    ],
+)
+def test_paths_come_through_make_unharmed(
+    target: str, variables: tuple[str, ...], arguments: list[str], echoing: Path
+):
+    done = run("make", target, f"VENV={echoing}", *(f"{name}={ODD}" for name in variables))
+    assert done.returncode == 0, done.stderr
+    module = "pipeline.train" if target == "train" else "pipeline.cli"
+    assert json.loads(done.stdout) == ["-u", "-m", module, *arguments]
+
+
+def test_demonstrations_of_rows_come_through_make_unharmed(echoing: Path, tmp_path: Path):
+    row = tmp_path / "rows" / "bc" / "seed0" / "evaluation.json"
+    done = run("make", str(row), f"VENV={echoing}", f"ROW_RUNS={tmp_path / 'rows'}", f"DEMOS={ODD}")
+    trained, evaluated = map(json.loads, done.stdout.splitlines())
+    assert f"demos.source='{ODD}'" in trained
+    assert evaluated[3:5] == ["eval", str(row.parent)]
+
+
+def test_demonstrations_of_an_odd_name_are_checked(tmp_path: Path):
+    venv = environment(tmp_path / "venv", f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    source = write_demos(tmp_path / f"{ODD}.h5")
+    done = run("make", "demos-check", f"VENV={venv}", f"DEMOS={source}")
+    assert done.returncode == 0, done.stderr
+    assert f"{source.name}: 2 usable of 2 episodes" in done.stdout
+
+
+def test_what_train_was_given_stays_as_it_was():
+    planned = run("make", "-n", "train", "ARGS=seed=3 loss.gamma=0.9", "VARIANT=bc")
     assert planned.stdout.rstrip().endswith("seed=3 loss.gamma=0.9")
     assert " variant=bc " in planned.stdout
+
+
+def test_the_environment_of_another_checkout_is_not_installed_into(tmp_path: Path):
+    """A folder of packages with our name in it, installed from elsewhere, is all that it takes."""
+    venv, elsewhere = tmp_path / "venv", tmp_path / "another checkout"
+    elsewhere.mkdir()
+    info = tmp_path / "site" / "bc_sac-0.1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: bc-sac\nVersion: 0.1.0\n")
+    (info / "direct_url.json").write_text(json.dumps({"url": elsewhere.as_uri(), "dir_info": {}}))
+    (venv / "bin").mkdir(parents=True)
+    python = venv / "bin" / "python"
+    # It knows no package but ours, and would fail at pip.
+    python.write_text(f'#!/bin/sh\nPYTHONPATH={info.parent} exec {sys.executable} -S "$@"\n')
+    python.chmod(0o755)
+    done = run("make", "install", f"VENV={venv}")
+    assert done.returncode == 2
+    assert f"VENV={venv} is of the checkout {elsewhere}; name another" in done.stderr
+    assert "uninstall" not in done.stdout + done.stderr
+    assert not list(venv.glob(".installed*"))
 
 
 def test_the_constraints_meet_every_requirement(project: dict, pins: dict[str, Version]):
@@ -169,6 +256,7 @@ def test_the_constraints_meet_every_requirement(project: dict, pins: dict[str, V
     stated = [
         *project["dependencies"],
         *extras["dev"],
+        *extras["docs"],
         *extras["minari"],
         *extras["video"],
         *extras["sweep"],
@@ -181,6 +269,22 @@ def test_the_constraints_meet_every_requirement(project: dict, pins: dict[str, V
         and pins.get(normalised(requirement.name)) not in requirement.specifier
     ]
     assert not unmet
+
+
+def test_the_lowest_releases_are_the_lower_bounds(project: dict, pins: dict[str, Version]):
+    """What `make check-lowest` runs is what `pyproject.toml` promises; torch's bound is not run."""
+    lines = (ROOT / "constraints-lowest.txt").read_text().splitlines()
+    tested = dict(line.split("==") for line in lines if not line.startswith("#"))
+    assert all(f"{name}==" in (ROOT / "constraints.txt").read_text() for name in tested)
+    bounds = {
+        normalised(requirement.name): Version(clause.version)
+        for requirement in map(Requirement, project["dependencies"])
+        for clause in requirement.specifier
+        if clause.operator in (">=", "==") and requirement.name != "torch"
+    }
+    lowest = {normalised(name): Version(version) for name, version in tested.items()}
+    assert lowest.pop("torch") == pins["torch"]
+    assert lowest == bounds
 
 
 def test_the_constraints_pin_public_versions_only(pins: dict[str, Version]):

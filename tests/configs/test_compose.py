@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hydra.errors import ConfigCompositionException, MissingConfigException
-from omegaconf import OmegaConf
 
 import configs
+from configs.composition import register_task_defaults, spelled_for_hydra, task_named
+from pipeline.recipe import Recipe
+from pipeline.renamed import RENAMED, rename_keys
+from pipeline.run_dir import load_recipe, overridden
+from pipeline.settings import SettingsError
 
+POLICIES = Path(__file__).parents[2] / "docs" / "results" / "policies"
 PAPER = ["sac", "bc", "bc_sac", "dbc_sac", "sid_bc", "sid_dbc", "ila_bc", "ila_dbc", "da_sac"]
-VARIANTS = [*PAPER, "best"]
+RIVALS = ["ibrl", "loki", "qc_rlpd", "rfcl", "rlpd", "sacfd", "sil"]
+VARIANTS = [*PAPER, "best", *RIVALS]
 PRESETS = ["smoke", "default", "table", "paper"]
 
 
-def compose_config(variant: str, preset: str, *overrides: str) -> configs.Config:
-    return configs.compose_config(f"variant={variant}", f"preset={preset}", *overrides)
+def compose_config(variant: str, preset: str, *overrides: str) -> Recipe:
+    return configs.compose(f"variant={variant}", f"preset={preset}", *overrides)
 
 
-NAMES = {"variant", "preset", "run_dir"}
+NAMES = {"variant", "preset"}
 
 
 def flat(variant: str, preset: str = "paper", *overrides: str) -> dict[str, Any]:
@@ -35,8 +42,7 @@ def flat(variant: str, preset: str = "paper", *overrides: str) -> dict[str, Any]
             )
         return found
 
-    config = OmegaConf.to_container(compose_config(variant, preset, *overrides))
-    assert isinstance(config, dict)
+    config = compose_config(variant, preset, *overrides).plain()
     return {k: v for k, v in leaves(config, "").items() if k not in NAMES}
 
 
@@ -50,8 +56,7 @@ def changes(variant: str, parent: str, preset: str) -> dict[str, Any]:
 def test_every_variant_composes_with_every_preset(variant: str, preset: str):
     config = compose_config(variant, preset)
     assert (config.variant, config.preset) == (variant, preset)
-    assert config.run_dir == f"runs/{variant}-{preset}-seed0"
-    assert not OmegaConf.missing_keys(config)
+    assert Recipe.of(config.plain(), "itself") == config
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -63,6 +68,7 @@ def test_every_variant_composes_with_every_preset(variant: str, preset: str):
         ("ila_bc", "bc_sac", {"growth.bc_model": True}),
         ("ila_dbc", "dbc_sac", {"growth.bc_model": True}),
         ("da_sac", "sac", {"sampler.demo_update_period": 2}),
+        ("loki", "sac", {"pretrain": True}),
     ],
 )
 def test_a_variant_is_its_delta(variant: str, parent: str, delta: dict, preset: str):
@@ -181,7 +187,7 @@ def test_an_unknown_key_is_an_error(override: str):
     ],
 )
 def test_a_value_of_the_wrong_type_is_an_error(override: str):
-    with pytest.raises(ConfigCompositionException) as caught:
+    with pytest.raises((ConfigCompositionException, SettingsError)) as caught:
         compose_config("bc_sac", "smoke", override)
     assert override.split("=")[0] in f"{caught.value} {caught.value.__cause__}"
 
@@ -192,3 +198,85 @@ def test_an_unknown_choice_lists_the_known_ones(group: str, known: list[str]):
     with pytest.raises(MissingConfigException, match="imaginary") as caught:
         compose_config(**choices)
     assert all(name in str(caught.value) for name in known)
+
+
+def test_a_task_puts_its_values_behind_a_preset_and_before_a_variant():
+    """The door's `default` multiplies, smoke, which comes after it, does not; others never do."""
+    assert compose_config("bc_sac", "default").demos.multiply.enabled
+    assert not compose_config("bc_sac", "smoke").demos.multiply.enabled
+    other = compose_config("best", "default", "task.name='gymnasium:Pendulum-v1'")
+    assert not other.demos.multiply.enabled
+    assert other.loss.target_entropy is None
+    assert other.loss.progress_bonus == 0.0
+    assert other.loss.gamma == 0.995  # of the variant itself
+    # A later composition knows nothing of an earlier one's task.
+    assert compose_config("best", "default").loss.progress_bonus == 10.0
+
+
+def test_what_is_typed_comes_last():
+    assert compose_config("best", "default", "loss.progress_bonus=3").loss.progress_bonus == 3.0
+
+
+def test_the_task_of_a_command_line():
+    assert task_named(["seed=1", "task.name='gymnasium:A-v0'"]) == "gymnasium:A-v0"
+    assert task_named(["seed=1"]) == "door"
+
+
+def test_task_defaults_follow_files_that_take_them():
+    with pytest.raises(ValueError, match=r"follow \['preset/mine'\], which is none of"):
+        register_task_defaults({"preset/mine": {"seed": 1}})
+
+
+def test_options_of_an_environment_are_typed_plainly():
+    recipe = configs.compose(
+        "variant=sac", "preset=smoke", "task.name='gymnasium:Pendulum-v1'",
+        "task.kwargs.g=9.0", "task.success=return>=-200",
+    )  # fmt: skip
+    assert recipe.task.kwargs == {"g": 9.0}
+    assert recipe.task.success == "return>=-200"
+
+
+@pytest.mark.parametrize("old", [key for key in RENAMED if key != "growth.admission.min_angle"])
+def test_old_names_on_a_command_line_work_and_are_told(old: str, caplog):
+    value = "door" if old == "env.name" else "1.25" if "open_steps" not in old else "7"
+    found = flat("bc_sac", "paper", f"{old}={value}")[RENAMED[old]]
+    assert str(found) == value
+    assert f"{old} is now called {RENAMED[old]}" in caplog.text
+
+
+def test_an_old_bound_on_the_angle_took_the_place_of_success():
+    recipe = compose_config("sid_bc", "paper", "growth.admission.min_angle=1.2")
+    assert (recipe.growth.admission.min_progress, recipe.growth.admission.success) == (1.2, False)
+
+
+def test_a_published_configuration_of_before_means_the_same():
+    recipe = load_recipe(POLICIES / "best")
+    assert recipe.task.name == "door"
+    assert recipe.env.success_steps == 30
+    assert recipe.demos.end_progress == recipe.demos.multiply.min_progress == 1.5
+    assert (recipe.loss.progress_bonus, recipe.loss.progress_bonus_cap) == (10.0, 1.5)
+    assert recipe.loss.bc_emphasis.beyond == 0.25
+    assert recipe.growth.admission.min_progress == 1.35
+
+
+def test_renaming_leaves_todays_names_alone():
+    recipe = compose_config("best", "default").plain()
+    assert rename_keys(dict(recipe)) == recipe
+
+
+ODD = 'it\'s a=1,b $HOME ${x} [c] {d: e} "q" ü #%'
+
+
+@pytest.mark.parametrize("value", [ODD, "a: b", "1e5", "true", "'", "x'", 'say "y"'])
+def test_a_path_means_itself_however_it_is_typed(value: str):
+    for typed in (f"demos.source={value}", f"demos.source='{value}'"):
+        assert configs.compose("variant=bc", typed).demos.source == value
+        # What Hydra was handed, as a resumed run reads it again.
+        handed = spelled_for_hydra(typed)
+        assert overridden(Recipe(), handed).demos.source == value
+        assert overridden(Recipe(), typed).demos.source == value
+
+
+def test_a_path_of_several_runs_is_left_to_hydra():
+    assert spelled_for_hydra("demos.source=a,b", several=True) == "demos.source=a,b"
+    assert spelled_for_hydra("resume=null") == "resume=null"

@@ -10,20 +10,21 @@ import numpy as np
 import pytest
 
 from envs.demonstrations import DemonstrationError
-from envs.demonstrations.dapg import DapgSource
+from envs.demonstrations.readers.dapg import DapgSource
+from envs.door.demos import SCHEMA
 from tests.demonstrations.helpers import DOOR, raw_demo, write_pickle
 
 
 @pytest.mark.parametrize("protocol", [2, 4, 5])
 def test_keeps_the_task_part_of_every_episode(tmp_path: Path, protocol: int) -> None:
     demos = [raw_demo(0), raw_demo(1, steps=7)]
-    first, second = DapgSource(write_pickle(tmp_path / "d.pickle", demos, protocol)).load()
+    first, second = DapgSource(write_pickle(tmp_path / "d.pickle", demos, protocol)).load(SCHEMA)
     assert (first.length, second.length) == (11, 6)
     np.testing.assert_array_equal(first.observations, np.float32(demos[0]["observations"][:, :38]))
     np.testing.assert_array_equal(first.actions, np.float32(demos[0]["actions"][:-1]))
     np.testing.assert_array_equal(second.rewards, np.float32(demos[1]["rewards"][:-1]))
-    np.testing.assert_array_equal(second.door_position, DOOR + 0.01)
-    np.testing.assert_array_equal(first.initial_qpos, np.zeros(30))
+    np.testing.assert_array_equal(second.start["door_position"], DOOR + 0.01)
+    np.testing.assert_array_equal(first.start["qpos"], np.zeros(30))
     assert second.provenance.source == "d.pickle"
     assert second.provenance.episode == 1
     assert second.provenance.kind == "recorded"
@@ -41,7 +42,7 @@ def test_reads_python_2_strings(tmp_path: Path) -> None:
     path = tmp_path / "d.pickle"
     path.write_bytes(stream)
     with pytest.raises(DemonstrationError, match=r"an array of shape \[3\] instead of episodes"):
-        DapgSource(path).load()
+        DapgSource(path).load(SCHEMA)
 
 
 class _Bomb:
@@ -60,7 +61,7 @@ def test_malicious_pickle_is_refused_and_does_not_run(
     demo = raw_demo() | {"extra": [_Bomb(marker, function)]}
     path = write_pickle(tmp_path / "d.pickle", [demo])
     with pytest.raises(DemonstrationError, match="would run code when opened") as caught:
-        DapgSource(path).load()
+        DapgSource(path).load(SCHEMA)
     assert str(path) in str(caught.value)
     assert "refused global" in str(caught.value)
     assert not marker.exists()
@@ -75,14 +76,14 @@ def test_every_other_global_is_refused(tmp_path: Path, module: str, name: str) -
     path = tmp_path / "d.pickle"
     path.write_bytes(b"\x80\x02c" + f"{module}\n{name}\n".encode() + b".")
     with pytest.raises(DemonstrationError, match=f"refused global {module}.{name}"):
-        DapgSource(path).load()
+        DapgSource(path).load(SCHEMA)
 
 
 def test_codecs_are_limited_to_latin1(tmp_path: Path) -> None:
     path = tmp_path / "d.pickle"
     path.write_bytes(b"\x80\x02c_codecs\nencode\nX\x01\x00\x00\x00aX\x05\x00\x00\x00rot13\x86R.")
     with pytest.raises(DemonstrationError, match=r"refused global _codecs\.encode with 'rot13'"):
-        DapgSource(path).load()
+        DapgSource(path).load(SCHEMA)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.3, 0.7, 0.999])
@@ -91,14 +92,14 @@ def test_truncated_pickle(tmp_path: Path, share: float) -> None:
     path = tmp_path / "d.pickle"
     path.write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(DemonstrationError, match="is not a complete pickle"):
-        DapgSource(path).load()
+        DapgSource(path).load(SCHEMA)
 
 
 def test_not_a_pickle_at_all(tmp_path: Path) -> None:
     path = tmp_path / "d.pickle"
     path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     with pytest.raises(DemonstrationError, match="is not a complete pickle"):
-        DapgSource(path).load()
+        DapgSource(path).load(SCHEMA)
 
 
 @pytest.mark.parametrize(
@@ -113,12 +114,12 @@ def test_not_a_pickle_at_all(tmp_path: Path) -> None:
 def test_wrong_content(tmp_path: Path, content: object, problem: str) -> None:
     path = write_pickle(tmp_path / "d.pickle", content)
     with pytest.raises(DemonstrationError, match=problem):
-        DapgSource(path).load()
+        DapgSource(path).load(SCHEMA)
 
 
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(DemonstrationError, match="No such file"):
-        DapgSource(tmp_path / "absent.pickle").load()
+        DapgSource(tmp_path / "absent.pickle").load(SCHEMA)
 
 
 def test_the_bad_episode_is_named(tmp_path: Path) -> None:
@@ -126,4 +127,4 @@ def test_the_bad_episode_is_named(tmp_path: Path) -> None:
     bad["actions"][4, 7] = np.nan
     path = write_pickle(tmp_path / "d.pickle", [raw_demo(0), bad])
     with pytest.raises(DemonstrationError, match=r"episode 1: actions\[4, 7\] is nan"):
-        DapgSource(path).load()
+        DapgSource(path).load(SCHEMA)

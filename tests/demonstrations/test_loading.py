@@ -12,10 +12,9 @@ from envs.demonstrations import (
     MultiplyConfig,
     content_hash,
     format_reports,
-    load_demonstrations,
 )
 from envs.door import task
-from tests.demonstrations.helpers import raw_demo, write_pickle
+from tests.demonstrations.helpers import load_door, raw_demo, write_pickle
 
 
 @pytest.fixture
@@ -24,7 +23,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_resimulated_by_default(path: Path) -> None:
-    loaded = load_demonstrations(path)
+    loaded = load_door(path)
     assert [e.provenance.kind for e in loaded.episodes] == ["resimulated"] * 2
     assert loaded.transitions == 11 + 6
     assert loaded.source == "d.pickle"
@@ -35,7 +34,7 @@ def test_resimulated_by_default(path: Path) -> None:
 
 
 def test_without_resimulation_the_reward_is_still_the_tasks(path: Path) -> None:
-    loaded = load_demonstrations(path, resimulate=False)
+    loaded = load_door(path, resimulate=False)
     for episode in loaded.episodes:
         np.testing.assert_array_equal(episode.rewards, task.reward(episode.observations[1:]))
     assert all(math.isnan(report.replay_error_max) for report in loaded.reports)
@@ -44,23 +43,23 @@ def test_without_resimulation_the_reward_is_still_the_tasks(path: Path) -> None:
 
 
 def test_limit(path: Path) -> None:
-    assert len(load_demonstrations(path, limit=1).episodes) == 1
+    assert len(load_door(path, limit=1).episodes) == 1
     with pytest.raises(ValueError, match="limit must be at least 1"):
-        load_demonstrations(path, limit=0)
+        load_door(path, limit=0)
 
 
 def test_multiplied(path: Path, tmp_path: Path) -> None:
-    config = MultiplyConfig(target_episodes=5, min_angle=-1.0, horizon=4, round_size=4)
-    loaded = load_demonstrations(path, multiply=config, cache_dir=tmp_path / "cache")
+    config = MultiplyConfig(target_episodes=5, min_progress=-1.0, horizon=4, round_size=4)
+    loaded = load_door(path, multiply=config, cache_dir=tmp_path / "cache")
     assert [e.provenance.kind for e in loaded.episodes] == ["multiplied"] * 5
     assert len(loaded.reports) == 2
     assert len(list((tmp_path / "cache").iterdir())) == 1
 
 
 def test_table_has_a_row_per_demonstration(path: Path) -> None:
-    loaded = load_demonstrations(path, resimulate=False)
+    loaded = load_door(path, resimulate=False)
     lines = format_reports(loaded.reports).splitlines()
     assert len(lines) == 2 + 2
-    assert "return at 200" in lines[0]
+    assert "return" in lines[0]
     assert "nan" not in lines[2]
-    assert f"{loaded.reports[1].max_angle:.3f}" in lines[3]
+    assert f"{loaded.reports[1].max_progress:.3f}" in lines[3]

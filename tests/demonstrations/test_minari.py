@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from envs.demonstrations import DemonstrationError, open_source
+from envs.door.demos import SCHEMA
 from tests.demonstrations.helpers import DOOR, raw_demo
 
 minari = pytest.importorskip("minari", reason="the minari extra is not installed")
@@ -69,16 +70,16 @@ def test_episodes(root: Path, by_folder: bool, infos: bool) -> None:
     demos = [raw_demo(0), raw_demo(1, steps=7)]
     write_dataset(demos, infos=infos)
     spec = str(root / ID) if by_folder else f"minari:{ID}"
-    first, second = open_source(spec).load()
+    first, second = open_source(spec).load(SCHEMA)
     assert (first.length, second.length) == (11, 6)
     np.testing.assert_array_equal(first.observations, np.float32(demos[0]["observations"][:, :38]))
     np.testing.assert_array_equal(second.actions, np.float32(demos[1]["actions"][:-1]))
     np.testing.assert_array_equal(second.rewards, np.float32(demos[1]["rewards"][:-1]))
     if infos:
-        np.testing.assert_allclose(second.door_position, DOOR + 0.01)
-        np.testing.assert_array_equal(second.initial_qpos, np.zeros(30))
+        np.testing.assert_allclose(second.start["door_position"], DOOR + 0.01)
+        np.testing.assert_array_equal(second.start["qpos"], np.zeros(30))
     else:
-        assert second.door_position is None
+        assert "door_position" not in second.start
     assert second.provenance.episode == 1
     assert second.provenance.source == ("human-v0" if by_folder else f"minari:{ID}")
 
@@ -89,20 +90,20 @@ def test_nan_in_a_dataset(root: Path) -> None:
     demo["observations"][3, 2] = np.nan
     write_dataset([demo])
     with pytest.raises(DemonstrationError, match=r"episode 0: observations\[3, 2\] is nan"):
-        open_source(f"minari:{ID}").load()
+        open_source(f"minari:{ID}").load(SCHEMA)
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_dataset_of_another_task(root: Path) -> None:
     write_dataset([raw_demo(observation_size=45)])
     with pytest.raises(DemonstrationError, match=r"\[12, 45\], expected \[T, 38\] or \[T, 39\]"):
-        open_source(f"minari:{ID}").load()
+        open_source(f"minari:{ID}").load(SCHEMA)
 
 
 @pytest.mark.filterwarnings("ignore")
 def test_unknown_id(root: Path) -> None:
     with pytest.raises(DemonstrationError, match="minari download tests/door/absent-v0"):
-        open_source("minari:tests/door/absent-v0").load()
+        open_source("minari:tests/door/absent-v0").load(SCHEMA)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -111,10 +112,12 @@ def test_damaged_data_file(root: Path) -> None:
     data = root / ID / "data" / "main_data.hdf5"
     data.write_bytes(data.read_bytes()[:500])
     with pytest.raises(DemonstrationError, match="human-v0"):
-        open_source(str(root / ID)).load()
+        open_source(str(root / ID)).load(SCHEMA)
 
 
 def test_without_minari_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "minari", None)
-    with pytest.raises(DemonstrationError, match="pip install 'minari"):
-        open_source("minari:D4RL/door/human-v2").load()
+    with pytest.raises(
+        DemonstrationError, match=r"needs the package minari .*pip install '.*\[minari\]'"
+    ):
+        open_source("minari:D4RL/door/human-v2").load(SCHEMA)

@@ -17,21 +17,23 @@ from envs.demonstrations import (
     read_recording,
     write_recording,
 )
+from envs.door.demos import SCHEMA
 from tests.demonstrations.helpers import still_episode
 
 
 def far_episode():
     """An episode that ends at a terminal observation."""
-    episode = still_episode(seed=3, door_position=None, initial_qpos=np.linspace(0, 1, 30))
+    episode = still_episode(seed=3, door_position=None, qpos=np.linspace(0, 1, 30))
     episode.observations[-1, 35:38] = 2.0
     episode.terminated[-1] = True
     return episode
 
 
 def test_comes_back_bit_for_bit(tmp_path: Path) -> None:
-    written = [still_episode(0, steps=4), still_episode(1, steps=9), far_episode()]
+    noisy = still_episode(2, steps=3, executed_actions=np.full((3, 28), 0.25, np.float32))
+    written = [still_episode(0, steps=4), still_episode(1, steps=9), far_episode(), noisy]
     write_recording(tmp_path / "new" / "r.h5", written, {"checkpoint": "abc", "return": 1.5})
-    read = read_recording(tmp_path / "new" / "r.h5")
+    read = read_recording(tmp_path / "new" / "r.h5", SCHEMA)
     assert content_hash(read) == content_hash(written)
     assert [e.provenance for e in read] == [e.provenance for e in written]
     assert read_card(tmp_path / "new" / "r.h5") == {"checkpoint": "abc", "return": 1.5}
@@ -40,7 +42,9 @@ def test_comes_back_bit_for_bit(tmp_path: Path) -> None:
 def test_more_than_ten_episodes_keep_their_order(tmp_path: Path) -> None:
     written = [still_episode(i, steps=2) for i in range(12)]
     write_recording(tmp_path / "r.h5", written, {})
-    assert [e.provenance.episode for e in read_recording(tmp_path / "r.h5")] == list(range(12))
+    assert [e.provenance.episode for e in read_recording(tmp_path / "r.h5", SCHEMA)] == list(
+        range(12)
+    )
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -71,7 +75,7 @@ def test_truncated_file(tmp_path: Path, share: float) -> None:
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(DemonstrationError, match="not a readable HDF5 file"):
-        read_recording(path)
+        read_recording(path, SCHEMA)
 
 
 def test_damaged_data(tmp_path: Path) -> None:
@@ -84,7 +88,7 @@ def test_damaged_data(tmp_path: Path) -> None:
     content[start : start + chunk.size] = bytes(chunk.size)
     path.write_bytes(content)
     with pytest.raises(DemonstrationError, match=r"episode_00000.*cannot read observations"):
-        read_recording(path)
+        read_recording(path, SCHEMA)
 
 
 def test_another_version_is_refused(tmp_path: Path) -> None:
@@ -93,7 +97,7 @@ def test_another_version_is_refused(tmp_path: Path) -> None:
     with h5py.File(path, "r+") as file:
         file.attrs["format_version"] = 99
     with pytest.raises(DemonstrationError, match="format version 99"):
-        read_recording(path)
+        read_recording(path, SCHEMA)
 
 
 @pytest.mark.parametrize("text", ["not json", json.dumps({"source": "x"}), json.dumps([1, 2])])
@@ -103,7 +107,7 @@ def test_damaged_provenance_is_refused(tmp_path: Path, text: str) -> None:
     with h5py.File(path, "r+") as file:
         file["episode_00000"].attrs["provenance"] = text
     with pytest.raises(DemonstrationError, match="provenance"):
-        read_recording(path)
+        read_recording(path, SCHEMA)
 
 
 def test_missing_array_is_named(tmp_path: Path) -> None:
@@ -112,7 +116,7 @@ def test_missing_array_is_named(tmp_path: Path) -> None:
     with h5py.File(path, "r+") as file:
         del file["episode_00000/actions"]
     with pytest.raises(DemonstrationError, match=r"episode_00000.*lacks actions"):
-        read_recording(path)
+        read_recording(path, SCHEMA)
 
 
 def test_content_hash_sees_every_field() -> None:
@@ -125,10 +129,30 @@ def test_content_hash_sees_every_field() -> None:
         still_episode(rewards=base.rewards + 1),
         still_episode(actions=-base.actions),
         still_episode(door_position=None),
-        still_episode(initial_qpos=np.zeros(30)),
-        still_episode(initial_qvel=np.zeros(30)),
+        still_episode(qpos=np.zeros(30)),
+        still_episode(qvel=np.zeros(30)),
+        still_episode(executed_actions=base.actions),
         still_episode(provenance=Provenance("synthetic", 0, "policy", {"seed": 0})),
         still_episode(provenance=Provenance("synthetic", 0, "recorded", {"seed": 1})),
     ]
     assert len({content_hash([variant]) for variant in variants}) == len(variants)
     assert content_hash([base, variants[1]]) != content_hash([variants[1], base])
+
+
+def test_the_hash_of_an_episode_is_the_same_on_every_machine() -> None:
+    """Caches are filed under it."""
+    assert content_hash([still_episode()]).startswith("1372c691abc295d3")
+
+
+@pytest.mark.parametrize(
+    ("executed", "message"),
+    [
+        (np.zeros((9, 28)), "has 9 executed_actions for 10 actions"),
+        (np.full((10, 28), 7.0), "magnitude 7"),
+        (np.zeros((10, 3)), r"actions has shape \[10, 3\]"),
+    ],
+)
+def test_executed_actions_are_checked(tmp_path: Path, executed: np.ndarray, message: str) -> None:
+    write_recording(tmp_path / "r.h5", [still_episode(executed_actions=executed)], {})
+    with pytest.raises(DemonstrationError, match=message):
+        read_recording(tmp_path / "r.h5", SCHEMA)

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from envs.demonstrations import Episode, Provenance, load_demonstrations
+from envs.demonstrations import Episode, Provenance
 from envs.demonstrations.selection import ended_at, highest_returns
 from envs.door import task
-from tests.demonstrations.helpers import still_episode
+from tests.demonstrations.helpers import load_door, still_episode
 
 
 def episodes_with(returns: list[float]) -> list[Episode]:
@@ -69,7 +69,7 @@ def test_an_episode_ends_with_the_step_that_passes_the_angle() -> None:
     )
     np.testing.assert_array_equal(ended.actions, whole.actions[:3])
     np.testing.assert_array_equal(ended.rewards, whole.rewards[:3])
-    assert ended.max_angle == pytest.approx(1.3)
+    assert ended.max_progress == pytest.approx(1.3)
     assert whole.length == 5  # the input is left as it was
 
 
@@ -98,11 +98,9 @@ def test_only_the_last_observation_may_lie_beyond_the_angle(
 
 
 @pytest.mark.parametrize("angle", [0.0, -1.0, task.FULLY_OPEN, float("nan")])
-def test_an_end_angle_out_of_range(angle: float) -> None:
-    with pytest.raises(ValueError, match=r"demos\.end_angle .* above 0 and below 1\.57"):
-        ended_at([door_moving([0.0, 1.0])], angle)
-    with pytest.raises(ValueError, match=r"demos\.end_angle"):
-        load_demonstrations("no-such-file.h5", end_angle=angle)  # before anything is read
+def test_an_end_progress_out_of_range(angle: float) -> None:
+    with pytest.raises(ValueError, match=r"demos\.end_progress .* above 0"):
+        load_door("no-such-file.h5", end_progress=angle)  # before anything is read
 
 
 @pytest.mark.parametrize("share", [0.0, -0.5, 1.5, float("nan")])
@@ -113,12 +111,12 @@ def test_a_share_out_of_range(share: float) -> None:
 
 def test_a_bad_share_is_refused_before_anything_is_read() -> None:
     with pytest.raises(ValueError, match=r"demos\.keep_best"):
-        load_demonstrations("no-such-file.h5", keep_best=2.0)
+        load_door("no-such-file.h5", keep_best=2.0)
 
 
 def test_loading_selects() -> None:
-    loaded = load_demonstrations("bundled")
-    half = load_demonstrations("bundled", keep_best=0.5)
+    loaded = load_door("bundled")
+    half = load_door("bundled", keep_best=0.5)
     returns = sorted(e.rewards.sum() for e in loaded.episodes)
     kept = sorted(e.rewards.sum() for e in half.episodes)
     assert kept == returns[len(returns) // 2 :]
@@ -126,10 +124,20 @@ def test_loading_selects() -> None:
 
 
 def test_loading_ends_the_episodes_after_the_choice() -> None:
-    best = load_demonstrations("bundled", keep_best=0.5)
-    ended = load_demonstrations("bundled", keep_best=0.5, end_angle=1.0)
+    best = load_door("bundled", keep_best=0.5)
+    ended = load_door("bundled", keep_best=0.5, end_progress=1.0)
     assert [e.length for e in ended.episodes] == [
         1 + int(np.argmax(task.hinge_angle(e.observations[1:]) > 1.0)) for e in best.episodes
     ]
     assert which(list(ended.episodes)) == which(list(best.episodes))
     assert ended.content_hash != best.content_hash
+
+
+def test_an_ended_episode_ends_in_all_its_steps() -> None:
+    executed = np.linspace(-1, 1, 10 * 28, dtype=np.float32).reshape(10, 28)
+    observations = np.zeros((11, 38), np.float32)
+    observations[4:, task.HINGE] = 1.0
+    episode = still_episode(steps=10, observations=observations, executed_actions=executed)
+    (ended,) = ended_at([episode], 0.5)
+    assert ended.length == 4
+    np.testing.assert_array_equal(ended.executed_actions, executed[:4])

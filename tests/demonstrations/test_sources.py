@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 
-from envs.demonstrations import DemonstrationError, open_source, sources, write_recording
+from envs.demonstrations import DemonstrationError, open_source, write_recording
+from envs.door.demos import SCHEMA
 from tests.demonstrations.helpers import raw_demo, still_episode, write_pickle
 
 
@@ -14,17 +16,21 @@ def test_a_folder_holds_files_of_any_kind(tmp_path: Path) -> None:
     write_recording(tmp_path / "b.h5", [still_episode(7)], {})
     write_pickle(tmp_path / "a.pkl", [raw_demo(0), raw_demo(1)])
     (tmp_path / "notes.txt").write_text("not a demonstration")
-    names = [(e.provenance.source, e.provenance.episode) for e in open_source(tmp_path).load()]
+    names = [
+        (e.provenance.source, e.provenance.episode) for e in open_source(tmp_path).load(SCHEMA)
+    ]
     assert names == [("a.pkl", 0), ("a.pkl", 1), ("synthetic", 7)]
 
 
 def test_an_empty_folder(tmp_path: Path) -> None:
     with pytest.raises(DemonstrationError, match="holds no demonstration files"):
-        open_source(tmp_path).load()
+        open_source(tmp_path).load(SCHEMA)
 
 
 def test_a_missing_path_lists_the_valid_forms(tmp_path: Path) -> None:
-    with pytest.raises(DemonstrationError, match=r"does not exist.*bundled, minari:ID"):
+    with pytest.raises(
+        DemonstrationError, match=r"does not exist.*bundled, .*DAPG pickle.*minari:ID"
+    ):
         open_source(tmp_path / "absent.pickle")
 
 
@@ -34,9 +40,12 @@ def test_an_unknown_suffix(tmp_path: Path) -> None:
         open_source(tmp_path / "demos.csv")
 
 
-def test_bundled_is_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sources, "BUNDLED", tmp_path / "door.h5")
+def test_bundled_is_a_recording(tmp_path: Path) -> None:
     write_recording(tmp_path / "door.h5", [still_episode(4)], {})
     source = open_source("bundled")
     assert source.name == "bundled"
-    assert [e.provenance.episode for e in source.load()] == [4]
+    schema = dataclasses.replace(SCHEMA, bundled=tmp_path / "door.h5")
+    assert [e.provenance.episode for e in source.load(schema)] == [4]
+    nothing = dataclasses.replace(SCHEMA, bundled=None)
+    with pytest.raises(DemonstrationError, match="no demonstrations come with the Adroit door"):
+        source.load(nothing)

@@ -67,3 +67,23 @@ def test_one_per_episode_in_order() -> None:
     lengths = [3, 1, 5]
     tds = to_tensordict(still_episode(seed=i, steps=n) for i, n in enumerate(lengths))
     assert [td.shape[0] for td in tds] == lengths
+
+
+def test_the_executed_action_is_the_action_and_the_clean_one_is_to_be_imitated() -> None:
+    noisy = still_episode(steps=2, executed_actions=np.full((2, 28), 1.5, np.float32))
+    plain = still_episode(seed=1, steps=3)
+    found, other = to_tensordict([noisy, plain])
+    assert (found["action"] == 1.0).all()  # as the simulator clips it
+    np.testing.assert_array_equal(found["imitated_action"].numpy(), noisy.actions)
+    # Of one set, all have both, so that they can be joined.
+    assert torch.equal(other["imitated_action"], other["action"])
+    np.testing.assert_array_equal(other["action"].numpy(), plain.actions)
+
+
+def test_clean_actions_alone() -> None:
+    noisy = still_episode(steps=2, executed_actions=np.full((2, 28), 0.5, np.float32))
+    (found,) = to_tensordict([noisy], executed=False)
+    np.testing.assert_array_equal(found["action"].numpy(), noisy.actions)
+    assert "imitated_action" not in found
+    (plain,) = to_tensordict([still_episode()])
+    assert "imitated_action" not in plain

@@ -7,19 +7,17 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from copy import deepcopy
-from typing import ClassVar
 
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict
-from torch import Tensor, nn
+from torch import nn
 from torch.overrides import TorchFunctionMode
 
 from losses import BCSACLoss, CriticEnsemble, ExponentialWeight, SquashedNormal
 from tests.losses.toys import (
-    ACTION_SIZE,
     ConstantCritics,
     Critic,
     gradients,
@@ -70,23 +68,6 @@ def test_every_diagnostic_is_detached_and_every_key_is_announced() -> None:
 
 
 # ------------------------------------------------------------------------------- rows and means
-
-
-def test_the_imitation_term_is_the_mean_over_the_demonstrations_alone() -> None:
-    loss = make_loss()
-    batch = make_batch(12, demo_rows=4)
-    alone = loss.bc_loss(batch[-4:])
-    torch.testing.assert_close(loss.bc_loss(batch), alone)
-    torch.testing.assert_close(loss.actor_terms(batch).bc, alone)
-    one_by_one = torch.stack([loss.bc_loss(batch[row : row + 1]) for row in range(8, 12)])
-    torch.testing.assert_close(one_by_one.mean(), alone)
-
-
-@given(order=st.permutations(range(8)))
-def test_the_imitation_term_does_not_care_where_its_rows_are(order: list[int]) -> None:
-    loss = make_loss()
-    batch = make_batch(8, demo_rows=3)
-    torch.testing.assert_close(loss.bc_loss(batch[order]), loss.bc_loss(batch))
 
 
 @pytest.mark.parametrize("rl_on_demos", [False, True])
@@ -156,7 +137,7 @@ class RowNoise(SquashedNormal):
 
 
 @given(order=st.permutations(range(10)), demo_rows=st.integers(0, 9))
-@settings(deadline=None, derandomize=True, max_examples=40)
+@settings(max_examples=40)
 @pytest.mark.parametrize("rl_on_demos", [False, True])
 def test_no_term_cares_where_the_demonstrations_are(
     rl_on_demos: bool, order: list[int], demo_rows: int
@@ -197,7 +178,7 @@ def rows_seen(loss: BCSACLoss, batch: TensorDict) -> dict[str, torch.Tensor]:
 
 
 @given(marks=st.lists(st.booleans(), min_size=1, max_size=12).filter(lambda marks: not all(marks)))
-@settings(deadline=None, derandomize=True, max_examples=60)
+@settings(max_examples=60)
 def test_the_critics_see_the_other_rows_in_their_order(marks: list[bool]) -> None:
     batch = make_batch(len(marks), demo_rows=0)
     batch["is_demo"] = torch.tensor(marks).unsqueeze(-1)
@@ -259,17 +240,6 @@ def test_no_demonstrations_make_an_imitation_term_of_zero() -> None:
     no_marks = loss.actor_terms(make_batch(6, demo_rows=None)).bc
     assert no_marks.item() == 0.0
     assert not no_marks.requires_grad
-
-
-@pytest.mark.parametrize("edge", [1.0, -1.3])
-def test_actions_at_and_beyond_the_edge_give_finite_gradients(edge: float) -> None:
-    loss = make_loss()
-    batch = make_batch(6, demo_rows=6)
-    batch["action"].fill_(edge)
-    at_the_edge = loss.bc_loss(batch)
-    batch["action"].fill_(math.copysign(1.0 - loss.action_margin, edge))
-    torch.testing.assert_close(at_the_edge, loss.bc_loss(batch))
-    assert all(g.isfinite().all() for g in gradients(at_the_edge, loss.actor))
 
 
 # ------------------------------------------------------------------- one forward, no host waits
@@ -347,98 +317,6 @@ def test_a_number_is_a_constant_weight() -> None:
     assert loss.current_bc_weight == 10.0
 
 
-def test_steps_discount_the_future_by_their_number() -> None:
-    """gamma over two steps is gamma squared over one."""
-    batch = make_batch(12, demo_rows=None)
-    loss = make_loss(gamma=0.9)
-    two_steps = batch.clone().set("steps_to_next_obs", torch.full((12, 1), 2))
-    torch.manual_seed(1)
-    in_two_steps = loss.critic_terms(two_steps).target
-    loss.gamma = 0.81
-    torch.manual_seed(1)
-    torch.testing.assert_close(in_two_steps, loss.critic_terms(batch).target)
-
-
-def test_only_a_termination_ends_the_return() -> None:
-    loss = make_loss()
-    batch = make_batch(12, demo_rows=None)
-    reward, target = batch["next", "reward"], loss.critic_terms(batch).target
-    terminated = batch["next", "terminated"]
-    assert (batch["next", "done"] & ~terminated).any()  # truncations: they bootstrap
-    assert torch.equal(target == reward, terminated)
-
-
-def test_the_target_can_do_without_entropy() -> None:
-    targets = []
-    for temperature in (0.1, 10.0):
-        torch.manual_seed(0)
-        loss = make_loss(entropy_in_target=False, init_temperature=temperature)
-        targets.append(loss.critic_terms(make_batch(12, demo_rows=None)).target)
-    assert torch.equal(*targets)
-
-
-def test_the_target_can_value_the_policy_without_its_noise() -> None:
-    """The critic is the sum of the action, so the target shows which action it was asked about."""
-
-    class ActionSum(nn.Module):
-        def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-            return action.sum(-1, keepdim=True).expand(1, -1, 1)
-
-    actor, batch = make_actor(), make_batch(6, demo_rows=None)
-    batch["next", "terminated"] = torch.zeros_like(batch["next", "terminated"])
-    batch["next", "reward"] = torch.zeros_like(batch["next", "reward"])
-    following = batch["next"].select("observation")
-    mean = actor.get_dist(following).deterministic_sample.sum(-1, keepdim=True)
-    for action, is_mean in (("mean", True), ("sample", False)):
-        loss = BCSACLoss(
-            actor, ActionSum(), target_action=action, gamma=1.0, entropy_in_target=False
-        )
-        assert torch.allclose(loss.critic_terms(batch).target, mean) == is_mean
-
-
-@pytest.mark.parametrize(("subset", "values"), [(None, {1.0}), (1, {1.0, 2.0, 6.0}), (3, {1.0})])
-def test_the_target_takes_the_minimum_over_a_random_subset(
-    subset: int | None, values: set[float]
-) -> None:
-    critic = ConstantCritics(2.0, 1.0, 6.0)
-    loss = BCSACLoss(make_actor(), critic, target_subset=subset, gamma=1.0, entropy_in_target=False)
-    batch = make_batch(4, demo_rows=None)
-    batch["next", "reward"].zero_()
-    batch["next", "terminated"].zero_()
-    seen = {loss.critic_terms(batch).target[0].item() for _ in range(60)}
-    assert seen == values
-
-
-@pytest.mark.parametrize(("actor_value", "expected"), [("min", 1.0), ("mean", 3.0)])
-def test_what_the_actor_maximises_of_the_ensemble(actor_value: str, expected: float) -> None:
-    loss = BCSACLoss(make_actor(), ConstantCritics(2.0, 1.0, 6.0), actor_value=actor_value)
-    torch.testing.assert_close(
-        loss.actor_terms(make_batch(4, demo_rows=None)).q, torch.full((4, 1), expected)
-    )
-
-
-def test_the_temperature_may_be_fixed_and_starts_where_told() -> None:
-    loss = make_loss(init_temperature=0.2, learn_temperature=False)
-    assert loss.alpha.item() == pytest.approx(0.2)
-    assert not loss.alpha_loss(make_batch(4, demo_rows=None)).requires_grad
-
-
-def test_the_temperature_s_loss_takes_a_batch_or_log_densities() -> None:
-    loss = make_loss(target_entropy=-7.0, init_temperature=math.exp(-2.0))
-    by_hand = loss.alpha_loss(torch.tensor([8.0, 10.0]))  # -(-2) * (9 - 7)
-    assert by_hand.item() == pytest.approx(4.0)
-    batch = make_batch(12, demo_rows=4)
-    torch.manual_seed(1)
-    from_batch = loss.alpha_loss(batch)
-    torch.manual_seed(1)
-    log_prob = loss.actor_terms(batch[:8]).log_prob
-    torch.testing.assert_close(from_batch, loss.alpha_loss(log_prob))
-
-
-def test_auto_target_entropy_is_minus_the_action_s_size() -> None:
-    assert make_loss().target_entropy == -ACTION_SIZE
-
-
 def test_critics_may_be_a_list_or_one_module() -> None:
     actor, critics = make_actor(), [Critic(), Critic(), Critic()]
     batch = make_batch(6, demo_rows=None)
@@ -458,7 +336,7 @@ def test_critics_may_be_a_list_or_one_module() -> None:
         ({"tau": -0.1}, "tau must be in"),
         ({"init_temperature": 0.0}, "init_temperature must be > 0"),
         ({"action_margin": 0.0}, "action_margin must be in"),
-        ({"imitation": "l2"}, "imitation must be nll or mse, got 'l2'"),
+        ({"imitation": "l2"}, "imitation must be nll, mse or fixed_width, got 'l2'"),
         ({"actor_value": "max"}, "actor_value must be min or mean"),
         ({"target_action": "mode"}, "target_action must be sample or mean, got 'mode'"),
         ({"target_action": "mean"}, "entropy_in_target must be False with target_action='mean'"),
@@ -468,14 +346,6 @@ def test_critics_may_be_a_list_or_one_module() -> None:
 def test_a_bad_argument_is_named(options: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_loss(**options)
-
-
-def test_auto_target_entropy_without_a_spec_names_the_remedy() -> None:
-    with pytest.raises(ValueError, match="build the actor with spec="):
-        BCSACLoss(make_actor(with_spec=False), [Critic()])
-    assert (
-        BCSACLoss(make_actor(with_spec=False), [Critic()], target_entropy=-1).target_entropy == -1
-    )
 
 
 def test_an_empty_ensemble_is_refused() -> None:
@@ -590,89 +460,3 @@ def test_state_survives_a_file_and_keeps_the_parameters_identity() -> None:
     assert target.updates == 3
     for name, value in source.state_dict().items():
         assert torch.equal(value, target.state_dict()[name]), name
-
-
-class CountingCritics(CriticEnsemble):
-    """Notes how many members each call runs."""
-
-    ran: ClassVar[list[int]] = []
-
-    def forward(self, observation, action, members=None):
-        q = super().forward(observation, action, members)
-        self.ran.append(len(q))
-        return q
-
-
-class WithoutMembers(nn.Module):
-    """An ensemble that cannot run a part of itself."""
-
-    def __init__(self, critics: CriticEnsemble) -> None:
-        super().__init__()
-        self.critics = critics
-
-    def forward(self, observation, action):
-        return self.critics(observation, action)
-
-
-def test_critics_outside_the_target_subset_are_not_run() -> None:
-    critics = CountingCritics([Critic() for _ in range(5)])
-    batch = make_batch(6, demo_rows=None)
-    targets = []
-    actor = make_actor()
-    for critic in (critics, WithoutMembers(critics)):
-        critics.ran.clear()
-        loss = BCSACLoss(actor, critic, target_subset=2)
-        torch.manual_seed(3)
-        targets.append(loss.critic_terms(batch).target)
-        assert critics.ran == ([2, 5] if critic is critics else [5, 5])
-    torch.testing.assert_close(*targets)
-
-
-class SumOfActions(nn.Module):
-    """One critic that values an action by the sum of its entries."""
-
-    def forward(self, _observation: Tensor, action: Tensor) -> Tensor:
-        return action.sum(-1, keepdim=True).unsqueeze(0)
-
-
-def test_the_q_filter_leaves_out_demonstrations_worse_than_the_policy() -> None:
-    """Rows 4-7 are demonstrations; the critic prefers large actions, so rows 4 and 5 stay."""
-    actor = make_actor()
-    loss = BCSACLoss(actor, SumOfActions(), q_filter=True)
-    batch = make_batch(8, 4)
-    batch["action"] = torch.tensor([0.99, 0.99, -0.99, -0.99] * 2).unsqueeze(-1).expand(8, 2)
-    batch["action"] = batch["action"].contiguous()
-    everything = BCSACLoss(actor, SumOfActions()).bc_loss(batch[4:6])
-    # The mean is over all four demonstrations, of which two count.
-    assert torch.isclose(loss.actor_terms(batch).bc, everything / 2)
-    assert loss.actor_terms(batch).bc.requires_grad
-
-
-def test_emphasis_multiplies_the_error_of_each_demonstrated_step() -> None:
-    """The mean over three demonstrations of their own errors, times 2, 0 and 0.5."""
-    factors = {0.0: 2.0, 1.0: 0.0, 2.0: 0.5}
-    batch = make_batch(5, demo_rows=3)
-    batch["observation"][-3:, 0] = torch.tensor(list(factors))
-    loss = make_loss(
-        bc_emphasis=lambda observation: torch.stack(
-            [torch.tensor(factors.get(row[0].item(), 100.0)) for row in observation]
-        )
-    )
-    errors = [loss.bc_loss(batch[row : row + 1]) for row in (2, 4)]
-    expected = (2.0 * errors[0] + 0.5 * errors[1]) / 3.0
-    torch.testing.assert_close(loss.actor_terms(batch).bc, expected)
-    torch.testing.assert_close(loss(batch)["bc_nll"], expected.detach())
-
-
-def test_emphasis_and_q_filter_both_apply() -> None:
-    batch = make_batch(6, demo_rows=6)
-    loss = make_loss(q_filter=True, rl_on_demos=True)
-    filtered = loss.actor_terms(batch).bc
-    loss.bc_emphasis = lambda observation: torch.full((len(observation),), 3.0)
-    torch.testing.assert_close(loss.actor_terms(batch).bc, 3.0 * filtered)
-
-
-def test_without_the_q_filter_every_demonstration_counts() -> None:
-    loss = BCSACLoss(make_actor(), SumOfActions())
-    batch = make_batch(8, 4)
-    assert torch.isclose(loss.actor_terms(batch).bc, loss.bc_loss(batch))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from pipeline.products import use_onednn
+from pipeline.machine.products import use_onednn
 from tests.pipeline.toys import write_demos
 
 

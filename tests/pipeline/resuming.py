@@ -8,15 +8,14 @@ from typing import Any
 
 import torch
 
-from configs import Config
-from pipeline.build import build_run
+from pipeline.recipe import Recipe
 from pipeline.trainer import Run
-from tests.pipeline.toys import tiny_config
+from tests.pipeline.toys import built, tiny_config
 
 HALF, WHOLE = 400, 800
 
 
-def long_config(folder: Path, demos: Path, *overrides: str) -> Config:
+def long_config(folder: Path, demos: Path, *overrides: str) -> Recipe:
     """Self-imitation, 3-step returns; episodes of 30 steps, cut by batches of 25 per door."""
     return tiny_config(
         "sid_dbc",
@@ -49,6 +48,7 @@ def everything(run: Run) -> dict[str, Any]:
         "policy": run.actor.state_dict(),
         "loss": run.trainer.loss_module.state_dict(),
         "stepper": stepper.state_dict(),
+        "waiting": modules["store"].state_dict(),
         "main": modules["main_buffer"][:].to_dict(),
         "grown": modules["grown_buffer"][:].to_dict(),
         "records": modules["grown"].state_dict(),
@@ -91,9 +91,9 @@ def curve_of(run_dir: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def interrupted(config: Config) -> Run:
+def interrupted(config: Recipe) -> Run:
     """A run that is stopped half-way, as by a power cut just after its checkpoint."""
-    run = build_run(config)
+    run = built(config)
     run.trainer.total_frames = HALF
     run.train()
     return run
@@ -101,12 +101,12 @@ def interrupted(config: Config) -> Run:
 
 def whole_and_halved(folder: Path, demos: Path, *options: str) -> tuple[Run, Run]:
     """An uninterrupted run and one that was stopped half-way and resumed, both at their end."""
-    whole = build_run(long_config(folder / "whole", demos, *options))
+    whole = built(long_config(folder / "whole", demos, *options))
     whole.train()
     config = long_config(folder / "halved", demos, *options)
     interrupted(config)
     torch.manual_seed(4321)  # whatever happened before must not matter
-    halved = build_run(config, resume=True)
+    halved = built(config, resume=True)
     assert halved.trainer.collected_frames == HALF
     halved.train()
     return whole, halved

@@ -9,20 +9,19 @@ from pathlib import Path
 import psutil
 import pytest
 import torch
-from omegaconf import OmegaConf
 
-from configs import Config, compose_config
+from configs import compose
 from pipeline import compute
-from pipeline.build import build_run
 from pipeline.compute import hidden_dtype, replays_updates, resolve_compute
-from pipeline.run_dir import load_config
-from tests.pipeline.toys import tiny_config
+from pipeline.recipe import Recipe
+from pipeline.run_dir import load_recipe
+from tests.pipeline.toys import built, tiny_config
 
 FP32, BF16 = torch.float32, torch.bfloat16
 
 
-def open_config(*overrides: str) -> Config:
-    return compose_config("variant=sac", "preset=smoke", "run_dir=nowhere", *overrides)
+def open_config(*overrides: str) -> Recipe:
+    return compose("variant=sac", "preset=smoke", "run_dir=nowhere", *overrides)
 
 
 class FakeClock:
@@ -144,13 +143,13 @@ def test_a_decision_is_not_taken_again():
 @pytest.mark.usefixtures("machine")
 def test_only_what_was_open_changes_and_only_in_the_copy():
     config = open_config("precision=auto", "seed=7")
-    before = OmegaConf.to_container(config)
+    before = config.plain()
     decided = resolve_compute(config, FakeClock(1.0, 0.5, 0.5, 0.5, bf16_share=0.5))
-    assert OmegaConf.to_container(config) == before
+    assert config.plain() == before
     assert before["torch_threads"] is None
     expected = before | {"torch_threads": 2, "precision": "bf16"}
     expected |= {"compile_updates": False, "onednn": False}
-    assert OmegaConf.to_container(decided) == expected
+    assert decided.plain() == expected
 
 
 @pytest.mark.parametrize(
@@ -167,10 +166,10 @@ def test_an_accelerator_s_host_gets_the_free_cores_unmeasured(
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("precision=fp16", r"precision must be auto or one of fp32, bf16, got 'fp16'\."),
-        ("precision=''", r"precision must be auto or one of fp32, bf16, got ''\."),
-        ("torch_threads=0", r"torch_threads must be at least 1, got 0\."),
-        ("torch_threads=-2", r"torch_threads must be at least 1, got -2\."),
+        ("precision=fp16", r"precision='fp16': .*'fp32', 'bf16' or 'auto'"),
+        ("precision=''", r"precision='': .*'fp32', 'bf16' or 'auto'"),
+        ("torch_threads=0", r"torch_threads=0: .* greater than or equal to 1"),
+        ("torch_threads=-2", r"torch_threads=-2: .* greater than or equal to 1"),
     ],
 )
 def test_a_bad_value_is_named(override: str, message: str):
@@ -215,22 +214,22 @@ def test_the_decision_is_saved_with_the_run_and_a_resumed_run_repeats_it(
 ):
     clock = FakeClock(1.0, 0.5, 0.5, 0.5, bf16_share=0.5)
     monkeypatch.setattr(compute, "_products", lambda _config: clock)
-    run = build_run(tiny_config("sac", tmp_path, demos, "precision=auto"))
+    run = built(tiny_config("sac", tmp_path, demos, "precision=auto"))
     assert torch.get_num_threads() == 2
     run.trainer.total_frames = 20
     run.train()
-    saved = load_config(run.run_dir)
+    saved = load_recipe(run.run_dir)
     assert (saved.torch_threads, saved.precision) == (2, "bf16")
-    assert run.config == saved
+    assert run.recipe == saved
     assert hidden_layers_of(run) == {BF16}
 
     monkeypatch.setattr(compute, "_products", lambda _config: refused)
     torch.set_num_threads(1)
-    resumed = build_run(load_config(run.run_dir), resume=True)
+    resumed = built(load_recipe(run.run_dir), resume=True)
     assert torch.get_num_threads() == 2
     assert hidden_layers_of(resumed) == {BF16}
     resumed.train()
-    again = load_config(run.run_dir)
+    again = load_recipe(run.run_dir)
     assert (again.torch_threads, again.precision) == (2, "bf16")
 
 
@@ -246,7 +245,7 @@ def test_a_run_computes_in_the_precision_it_was_given(
     variant: str, precision: str, tmp_path: Path, demos: Path
 ):
     options = ["torch_threads=1", f"precision={precision}"]
-    run = build_run(tiny_config(variant, tmp_path, demos, *options))
+    run = built(tiny_config(variant, tmp_path, demos, *options))
     run.train()
     expected = BF16 if precision == "bf16" else None
     actors = [part for part in run.actor.modules() if hasattr(part, "layers")]
@@ -277,7 +276,7 @@ def test_no_other_device_replays_updates():
 
 
 LONG = ["torch_threads=1", "optim.updates_per_frame=0.5", "collector.total_frames=10000"]
-SHORT = [*LONG[:2], "collector.total_frames=9990"]
+SHORT = [*LONG[:2], "collector.total_frames=9900"]  # whole portions of 100
 
 
 @pytest.mark.parametrize(
@@ -289,7 +288,7 @@ SHORT = [*LONG[:2], "collector.total_frames=9990"]
         ([*SHORT, "compile_updates=true"], True),
         ([*LONG, "device=cuda"], False),
         ([*SHORT, "offline=true", "bc.updates=5000"], True),
-        ([*LONG, "offline=true", "bc.updates=4999"], False),
+        ([*LONG, "offline=true", "bc.updates=4900"], False),
     ],
 )
 def test_updates_are_compiled_where_there_are_many(

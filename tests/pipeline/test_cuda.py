@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.build import build_run
+from pipeline.commands.evaluate_run import evaluate_run
 from pipeline.components import make_evaluator
-from pipeline.evaluate_run import evaluate_run
-from pipeline.random_state import kept_random_state
+from pipeline.machine.random_state import kept_random_state
 from pipeline.trainer import Run
 from tests.pipeline.resuming import (
     curve_of,
@@ -20,7 +19,7 @@ from tests.pipeline.resuming import (
     long_config,
     whole_and_halved,
 )
-from tests.pipeline.toys import tiny_config
+from tests.pipeline.toys import built, tiny_config
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 
@@ -31,7 +30,7 @@ def on_gpu(run: Run) -> bool:
 
 @pytest.mark.parametrize("variant", ["bc", "bc_sac", "ila_dbc", "da_sac", "best"])
 def test_a_variant_trains_and_is_evaluated(variant: str, tmp_path: Path, demos: Path):
-    run = build_run(tiny_config(variant, tmp_path, demos, "device=cuda"))
+    run = built(tiny_config(variant, tmp_path, demos, "device=cuda"))
     run.train()
     assert on_gpu(run)
     assert np.isfinite(evaluate_run(run.run_dir, ["evaluation.episodes=2"])["return_mean"])
@@ -53,7 +52,7 @@ def test_a_run_with_recordings_is_the_one_without(tmp_path: Path, demos: Path):
     for cuda_graphs in ("true", "false"):
         folder = tmp_path / cuda_graphs
         config = long_config(folder, demos, "device=cuda", f"cuda_graphs={cuda_graphs}", *rates)
-        runs.append(build_run(config))
+        runs.append(built(config))
         runs[-1].train()
     graphs, plain = ({"loss": run.trainer.loss_module.state_dict()} for run in runs)
     assert differences(graphs, plain) == []
@@ -61,7 +60,7 @@ def test_a_run_with_recordings_is_the_one_without(tmp_path: Path, demos: Path):
 
 def test_an_evaluation_repeats_itself_and_leaves_the_random_state(tmp_path: Path, demos: Path):
     config = tiny_config("sac", tmp_path, demos, "device=cuda", "evaluation.exploration=sample")
-    run = build_run(config)
+    run = built(config)
     evaluator = make_evaluator(config, episodes=3)
     before = torch.cuda.get_rng_state()
     first, second = evaluator.run(run.actor), evaluator.run(run.actor)

@@ -19,11 +19,11 @@ from torchrl.modules import ProbabilisticActor, TanhNormal
 from torchrl.objectives import SACLoss, SoftUpdate
 
 from losses import BCSACLoss
-from pipeline.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
-from pipeline.critics import BatchedCritics, EnsembleLayerNorm, EnsembleLinear
-from pipeline.mixture import Mixture
-from pipeline.networks import make_actor
-from pipeline.stepper import BCSACStepper, StepRhythm
+from pipeline.data.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
+from pipeline.data.mixture import Mixture
+from pipeline.learn.critics import BatchedCritics, EnsembleLayerNorm, EnsembleLinear
+from pipeline.learn.networks import make_actor
+from pipeline.learn.stepper import BCSACStepper, StepRhythm
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
 
 pytestmark = pytest.mark.usefixtures("float64")

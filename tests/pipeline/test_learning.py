@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from scipy.stats import permutation_test
 
-from configs import compose_config
-from pipeline.build import build_run
+from configs import compose
 from pipeline.components import make_evaluator
+from tests.pipeline.toys import built
 
 
 @pytest.mark.slow
 def test_sac_learns_the_pendulum(tmp_path: Path):
     """Returns of 30 episodes after 8000 frames are better than before, and not by chance."""
-    config = compose_config(
+    config = compose(
         "variant=sac",
         "preset=smoke",
         f"run_dir='{tmp_path / 'run'}'",
-        "env.name='gymnasium:Pendulum-v1'",
+        "task.name='gymnasium:Pendulum-v1'",
         "env.num_envs=5",
         "env.horizon=null",
         "actor.hidden=[64,64]",
@@ -42,7 +42,7 @@ def test_sac_learns_the_pendulum(tmp_path: Path):
         "logging.checkpoint_interval=100000",
     )
     evaluator = make_evaluator(config, episodes=30)
-    run = build_run(config)
+    run = built(config)
     before = evaluator.run(run.actor).returns
     run.train()
     after = evaluator.run(run.actor).returns

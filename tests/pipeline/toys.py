@@ -10,14 +10,17 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
-from configs import Config, compose_config
+from configs import compose
 from envs.demonstrations import Episode, Provenance, write_recording
 from envs.door import task
 from envs.door.simulator import DoorSimulator
 from envs.door.starts import door_position
 from losses import BCSACLoss
-from pipeline.critics import BatchedCritics
-from pipeline.networks import make_actor
+from pipeline.build import build_run
+from pipeline.learn.critics import BatchedCritics
+from pipeline.learn.networks import make_actor
+from pipeline.recipe import Recipe
+from pipeline.trainer import Run
 
 OBSERVATION_SIZE = 3
 ACTION_SIZE = 2
@@ -38,17 +41,26 @@ TINY = (
 """Overrides of the smoke preset under which a run takes a fraction of a second."""
 
 
-def tiny_config(variant: str, folder: Path, demos: Path, *overrides: str) -> Config:
-    """A run of 40 frames below ``folder``."""
-    return compose_config(
+def tiny_config(variant: str, folder: Path, demos: Path, *overrides: str) -> Recipe:
+    """A run of 40 frames below ``folder``; see :func:`built`."""
+    return compose(
         f"variant={variant}",
         "preset=smoke",
         *TINY,
-        f"run_dir='{folder / variant}'",
         f"cache_dir='{folder / 'cache'}'",
         f"demos.source='{demos}'",
         *overrides,
     )
+
+
+def where(recipe: Recipe) -> Path:
+    """The run directory of a recipe of :func:`tiny_config`: beside its cache."""
+    return Path(recipe.cache_dir).parent / recipe.variant
+
+
+def built(recipe: Recipe, **options: Any) -> Run:
+    """The run of a recipe, in its directory."""
+    return build_run(recipe, where(recipe), **options)
 
 
 def write_demos(path: Path, episodes: int = 2, steps: int = 12) -> Path:
@@ -69,9 +81,9 @@ def write_demos(path: Path, episodes: int = 2, steps: int = 12) -> Path:
             rewards=task.reward(seen[i, 1:]),
             terminated=np.zeros(steps, dtype=bool),
             provenance=Provenance("synthetic", i, "recorded"),
-            door_position=doors[i],
-            initial_qpos=np.zeros(30),
-            initial_qvel=np.zeros(30),
+            start={"door_position": doors[i], "qpos": np.zeros(30), "qvel": np.zeros(30)},
+            success=task.success(seen[i]),
+            progress=task.hinge_angle(seen[i]),
         )
         for i in range(episodes)
     ]

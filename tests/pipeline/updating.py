@@ -10,9 +10,9 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from losses import BCSACLoss, LinearWeight
-from pipeline.critics import BatchedCritics
-from pipeline.networks import make_actor
-from pipeline.stepper import BCSACStepper, StepRhythm
+from pipeline.learn.critics import BatchedCritics
+from pipeline.learn.networks import make_actor
+from pipeline.learn.stepper import BCSACStepper, StepRhythm
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
 
 UPDATES = 20

@@ -1,0 +1,67 @@
+"""docs/tutorial/compose.md: its examples as they stand."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from configs import compose
+from envs.door import definition
+from envs.door.definition import TASK
+from losses import LinearWeight
+from pipeline.learn.critics import BatchedCritics
+from pipeline.learn.networks import make_actor
+from pipeline.trainer import Run
+from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch, write_demos
+
+ROOT = Path(__file__).parents[2]
+TUTORIAL = ROOT / "docs" / "tutorial" / "compose.md"
+SNIPPET = re.compile(r"<!-- snippet:(\w+) -->\n```python\n(.*?)```", re.DOTALL)
+FILE = re.compile(r"<!-- file:configs/variant/(\w+)\.yaml -->\n```yaml\n(.*?)```", re.DOTALL)
+
+
+def snippet(name: str) -> str:
+    return dict(SNIPPET.findall(TUTORIAL.read_text()))[name]
+
+
+def test_the_yaml_and_the_python_make_the_same_method():
+    ((_, text),) = FILE.findall(TUTORIAL.read_text())
+    given = yaml.safe_load(text)
+    assert given["defaults"] == ["bc_sac", "_self_"]
+    changes = {key: value for key, value in given.items() if key != "defaults"}
+    of_yaml = compose("variant=bc_sac", "preset=smoke").changed(**changes)
+    assert of_yaml.loss.q_filter
+    assert of_yaml.growth.self_imitation
+    weight = of_yaml.loss.bc_weight.schedule(40)
+    assert [weight(0), weight(20), weight(40)] == pytest.approx([1.0, 0.6, 0.2])
+    assert "LinearWeight(init=1.0, final=0.2" in snippet("python")
+
+
+def test_the_python_of_the_page_trains(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    demos = write_demos(tmp_path / "demos.h5")
+    bundled = dataclasses.replace(TASK.demos, bundled=demos)
+    monkeypatch.setattr(definition, "TASK", dataclasses.replace(TASK, demos=bundled))
+    monkeypatch.chdir(tmp_path)
+    names = {"run_dir": tmp_path / "run"}
+    exec(compile(snippet("python"), str(TUTORIAL), "exec"), names)
+    run = names["run"]
+    assert isinstance(run, Run)
+    assert run.trainer.collected_frames == run.recipe.collector.total_frames
+    assert isinstance(run.trainer.loss_module.bc_weight, LinearWeight)
+
+
+def test_the_term_of_the_page_is_part_of_the_objective():
+    names = {
+        "__name__": __name__,  # where dataclasses look annotations up
+        "actor": make_actor(OBSERVATION_SIZE, ACTION_SIZE, [8]),
+        "critic": BatchedCritics(OBSERVATION_SIZE, ACTION_SIZE, [8], 2),
+        "batch": make_batch(8, 3),
+    }
+    exec(compile(snippet("term"), str(TUTORIAL), "exec"), names)
+    action = names["actor"](names["batch"].select("observation"))
+    assert action["action"].shape == (8, ACTION_SIZE)
+    assert float(names["losses"]["centre"]) >= 0.0

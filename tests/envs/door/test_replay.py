@@ -1,0 +1,59 @@
+"""Replay: which doors go on, and what happens when physics breaks down."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from envs.adroit.replay import replay as play
+from envs.demonstrations import DemonstrationError
+from envs.door.demos import DOOR_POSITION
+from envs.door.resimulation import resimulate
+from envs.door.simulator import DoorSimulator, PhysicsDivergedError
+from tests.demonstrations.helpers import DOOR, still_episode
+
+
+class Breaking(DoorSimulator):
+    """A simulator whose door 1 diverges in its third step, and which refuses to step it again."""
+
+    def __init__(self, *args, **kwargs) -> None:
+        super().__init__(*args, **kwargs)
+        self.calls = 0
+
+    def step(self, action, mask=None):
+        self.calls += 1
+        observation = super().step(action, mask)
+        if mask[1] and self.calls >= 3:
+            assert self.calls == 3, "a broken door must not be stepped"
+            raise PhysicsDivergedError([1])
+        return observation
+
+
+def test_a_diverged_door_stops_and_the_others_go_on() -> None:
+    actions, doors = np.zeros((3, 6, 28)), np.tile(DOOR, (3, 1))
+    with Breaking(3, num_threads=1) as simulator:
+        result = play(simulator, actions, np.array([6, 6, 4]), {DOOR_POSITION: doors})
+    assert result.steps.tolist() == [6, 2, 4]
+    assert result.diverged.tolist() == [False, True, False]
+    with DoorSimulator(1) as simulator:
+        alone = play(simulator, actions[:1], np.array([6]), {DOOR_POSITION: doors[:1]})
+    np.testing.assert_array_equal(result.observations[0], alone.observations[0])
+
+
+def test_an_episode_that_diverges_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("envs.door.resimulation.DoorSimulator", Breaking)
+    with pytest.raises(DemonstrationError, match="synthetic, episode 1: makes the physics diverge"):
+        resimulate([still_episode(0), still_episode(1)])
+
+
+def test_a_door_may_be_abandoned() -> None:
+    def keep_going(t: int, observations: np.ndarray) -> np.ndarray:
+        assert observations.shape == (2, 38)
+        return np.array([t < 2, True])
+
+    with DoorSimulator(2, num_threads=1) as simulator:
+        doors = {DOOR_POSITION: np.tile(DOOR, (2, 1))}
+        lengths = np.array([5, 5])
+        result = play(simulator, np.zeros((2, 5, 28)), lengths, doors, keep_going=keep_going)
+    assert result.steps.tolist() == [3, 5]
+    assert not result.observations[0, 4:].any()

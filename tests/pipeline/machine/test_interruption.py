@@ -1,0 +1,185 @@
+"""A run that is told to stop can go on as if it had not been; a full disk costs no checkpoint."""
+
+from __future__ import annotations
+
+import errno
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from pipeline.build import build_run
+from pipeline.machine.disk import told
+from pipeline.machine.interruption import Interrupted, interruption
+from pipeline.trainer import Run
+from tests.pipeline.resuming import curve_of, differences
+from tests.pipeline.test_resuming import FILE, recipe_of, resumed
+from tests.test_toy import whole
+
+UPDATES = ("optim.updates_per_frame=0.25", "logging.checkpoint_interval=1000")
+"""Five updates in each portion of 20 frames, and no checkpoint but the last."""
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, list[dict]]:
+    run_dir = tmp_path_factory.mktemp("whole") / "run"
+    run = build_run(recipe_of(*UPDATES), run_dir)
+    run.train()
+    return whole(run), curve_of(run_dir)
+
+
+def stop_after(run: Run, updates: int) -> None:
+    """As by a signal in the middle of that update."""
+    count = []
+
+    def made() -> None:
+        count.append(1)
+        if len(count) == updates:
+            run.stop.signum = signal.SIGTERM
+
+    run.trainer.register_op("post_optim", made)
+
+
+def stop_in_evaluation(run: Run, steps: int) -> None:
+    left = iter(range(steps, -1, -1))
+    leave = run.evaluation.evaluator.between_steps
+
+    def between() -> None:
+        if next(left, 1) == 0:
+            run.stop.signum = signal.SIGINT
+        leave()
+
+    object.__setattr__(run.evaluation.evaluator, "between_steps", between)
+
+
+@pytest.mark.parametrize("updates", [1, 8, 10, 28, 30])
+def test_a_run_that_is_stopped_after_any_update_goes_on_as_if_it_had_not_been(
+    updates: int, uninterrupted: tuple[dict, list[dict]], tmp_path: Path
+):
+    run = build_run(recipe_of(*UPDATES), tmp_path / "run")
+    stop_after(run, updates)
+    with pytest.raises(Interrupted) as stop:
+        run.train()
+    assert stop.value.exit_code == 143
+    assert run.trainer.optimization_stepper.critic_updates == updates
+    torch.manual_seed(4321)
+    again = resumed(tmp_path / "run")
+    again.train()
+    expected, curve = uninterrupted
+    assert differences(whole(again), expected) == []
+    assert curve_of(tmp_path / "run") == curve
+
+
+def test_what_is_stopped_twice_in_one_portion_goes_on_too(
+    uninterrupted: tuple[dict, list[dict]], tmp_path: Path
+):
+    run = build_run(recipe_of(*UPDATES), tmp_path / "run")
+    stop_after(run, 6)
+    with pytest.raises(Interrupted):
+        run.train()
+    again = resumed(tmp_path / "run")
+    stop_after(again, 2)
+    with pytest.raises(Interrupted):
+        again.train()
+    last = resumed(tmp_path / "run")
+    last.train()
+    expected, curve = uninterrupted
+    assert differences(whole(last), expected) == []
+    assert curve_of(tmp_path / "run") == curve
+
+
+@pytest.mark.parametrize("steps", [3, 25])
+def test_an_evaluation_that_is_cut_short_is_made_again(
+    steps: int, uninterrupted: tuple[dict, list[dict]], tmp_path: Path
+):
+    """Episodes have 20 steps: the first evaluation, or the second."""
+    run = build_run(recipe_of(*UPDATES), tmp_path / "run")
+    stop_in_evaluation(run, steps)
+    with pytest.raises(Interrupted) as stop:
+        run.train()
+    assert stop.value.exit_code == 130
+    again = resumed(tmp_path / "run")
+    again.train()
+    expected, curve = uninterrupted
+    assert differences(whole(again), expected) == []
+    assert curve_of(tmp_path / "run") == curve
+
+
+def test_before_there_is_a_run_a_signal_ends_it_at_once():
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(Interrupted, match="SIGTERM"), interruption():
+        signal.raise_signal(signal.SIGTERM)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_the_second_signal_is_the_system_s_own(monkeypatch: pytest.MonkeyPatch):
+    request, sent = SimpleNamespace(signum=None), []
+    monkeypatch.setattr("os.kill", lambda _pid, signum: sent.append(signum))
+    with interruption() as handler:
+        handler.asks(request)
+        signal.raise_signal(signal.SIGINT)
+        assert (request.signum, sent) == (signal.SIGINT, [])
+        signal.raise_signal(signal.SIGINT)
+        assert sent == [signal.SIGINT]
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL
+
+
+def command(*arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "pipeline.train", *arguments],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("signum", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_to_the_command_ends_it_in_one_line(
+    signum: signal.Signals, code: int, tmp_path: Path
+):
+    run_dir, curve = tmp_path / "run", tmp_path / "run" / "learning_curve.jsonl"
+    process = command(
+        "variant=sac", "preset=smoke", f"task.name='{FILE}'", f"run_dir='{run_dir}'",
+        "collector.total_frames=1000000", "torch_threads=1",
+    )  # fmt: skip
+    while not curve.exists() and process.poll() is None:
+        time.sleep(0.05)
+    process.send_signal(signum)
+    _, printed = process.communicate(timeout=60)
+    assert process.returncode == code
+    (line,) = [one for one in printed.splitlines() if "stopped" in one]
+    assert line.endswith(f"frames; go on with: make train RESUME={run_dir}")
+    assert "Traceback" not in printed
+    assert list((run_dir / "checkpoints").glob("checkpoint-*"))
+
+
+def test_a_checkpoint_for_which_there_is_no_room_leaves_the_last_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    run = build_run(recipe_of("logging.checkpoint_interval=10"), tmp_path / "run")
+    frames = run.trainer
+
+    def usage(_path: Path) -> SimpleNamespace:
+        return SimpleNamespace(free=10**12 if frames.collected_frames < 60 else 1000)
+
+    monkeypatch.setattr(shutil, "disk_usage", usage)
+    with pytest.raises(OSError, match=r"a checkpoint takes .* MiB, of which 0.0 are free") as error:
+        run.train()
+    assert error.value.errno == errno.ENOSPC
+    assert "no space left. The last checkpoint is as it was: free some" in told(error.value)
+    checkpoints = sorted((tmp_path / "run" / "checkpoints").glob("checkpoint-*"))
+    assert checkpoints[-1].name == "checkpoint-000000000040"
+    monkeypatch.undo()
+    resumed(tmp_path / "run").train()
+
+
+def test_a_curve_that_cannot_be_written_ends_the_run(tmp_path: Path):
+    run = build_run(recipe_of(), tmp_path / "run")
+    (tmp_path / "run" / "learning_curve.jsonl").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left on device"):
+        run.train()

@@ -1,0 +1,146 @@
+"""What ``make eval`` leaves beside its summary: a row per episode, a row per control step."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from envs import Task
+from envs.demonstrations.schema import StartKey
+from envs.door.definition import TASK
+from envs.door.starts import door_position
+from pipeline.act.metrics import Rollouts, summarise
+from pipeline.build import build_run
+from pipeline.cli import app
+from pipeline.files.run_files import EVALUATION, RunDirectoryError
+from pipeline.results.evaluation_files import (
+    RunEvaluation,
+    episode_columns,
+    load_columns,
+    progress_columns,
+)
+from tests.pipeline.toys import tiny_config, where
+
+NAN = float("nan")
+
+
+def rollouts() -> Rollouts:
+    """Three episodes: one succeeds at step 2 and loses it, one succeeds at its end, one ends."""
+    return Rollouts(
+        returns=np.array([1.5, 2.0, -3.0]),
+        lengths=np.array([3, 3, 1]),
+        success=np.array([[0, 1, 0], [0, 0, 1], [0, 0, 0]], dtype=bool),
+        progress=np.array([[0.1, 0.9, 0.5], [0.2, 0.3, 0.7], [0.0, NAN, NAN]], dtype=np.float32),
+        stages={
+            "near": np.array([True, False, False]),
+            "there": np.array([True, True, False]),
+        },
+    )
+
+
+def bare() -> Task:
+    return Task(name="bare", make_env=TASK.make_env)
+
+
+def test_each_episode_has_its_own_figures():
+    found = episode_columns(bare(), rollouts(), seed=0)
+    assert found["episode"] == [0, 1, 2]
+    assert found["return"] == [1.5, 2.0, -3.0]
+    assert found["steps"] == [3, 3, 1]
+    assert found["success_once"] == [1, 1, 0]
+    assert found["success_at_end"] == [0, 1, 0]
+    assert found["steps_to_success"] == [2, 3, None]
+    assert found["progress_max"] == pytest.approx([0.9, 0.7, 0.0])
+    assert found["progress_at_end"] == pytest.approx([0.5, 0.7, 0.0])
+    # The furthest of the task's stages, also where an earlier one was left out.
+    assert found["stage"] == ["there", "there", "none"]
+
+
+def test_rows_and_summary_say_the_same():
+    found, summary = episode_columns(bare(), rollouts(), seed=0), summarise(rollouts())
+    assert np.mean(found["return"]) == summary.return_mean
+    assert np.mean(found["success_once"]) == summary.success_once
+    assert np.mean(found["success_at_end"]) == summary.success_at_end
+    assert np.median([s for s in found["steps_to_success"] if s]) == summary.steps_to_success_median
+
+
+def test_a_task_that_tells_nothing_has_returns_and_lengths():
+    told = Rollouts(np.array([1.0]), np.array([4]))
+    assert list(episode_columns(bare(), told, seed=0)) == ["episode", "return", "steps"]
+    assert progress_columns(told) == {}
+
+
+def test_starts_are_those_of_the_task_s_list():
+    found = episode_columns(TASK, rollouts(), seed=7)
+    for axis, name in enumerate("xyz"):
+        stood = [door_position(7, door, 0)[axis] for door in range(3)]
+        assert found[f"start.door_position.{name}"] == stood
+
+
+def test_axes_must_name_every_entry():
+    with pytest.raises(ValueError, match="place has 3 entries and 2 axes"):
+        StartKey("place", 3, axes=("x", "y"))
+
+
+def test_progress_is_over_the_episodes_that_still_run():
+    found = progress_columns(rollouts())
+    assert found["step"] == [1, 2, 3]
+    assert found["running"] == [3, 2, 2]
+    # Step 1: 0.1, 0.2 and 0; its median 0.1. Step 2: 0.9 and 0.3, the third episode is over.
+    assert found["q50"] == pytest.approx([0.1, 0.6, 0.6])
+    assert found["q10"][1] == pytest.approx(0.36)  # 0.3 + 0.1 * 0.6
+
+
+def test_tables_come_back_as_they_were(tmp_path: Path):
+    columns = episode_columns(TASK, rollouts(), seed=7)
+    RunEvaluation({}, columns, {}).write(tmp_path / EVALUATION)
+    found = load_columns(tmp_path / "episodes.csv")
+    assert list(found) == list(columns)
+    for name in columns:
+        if name == "stage":
+            assert found[name] == columns[name]
+        else:  # nine digits
+            assert [v is None for v in found[name]] == [v is None for v in columns[name]]
+            known = [(a, b) for a, b in zip(found[name], columns[name], strict=True) if a]
+            assert all(a == pytest.approx(b, rel=1e-8) for a, b in known)
+    assert not (tmp_path / "progress.csv").exists()
+
+
+def test_another_summary_has_tables_of_its_own(tmp_path: Path):
+    columns = {"episode": [0]}
+    RunEvaluation({}, columns, {}).write(tmp_path / "greedy.json")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["greedy.episodes.csv", "greedy.json"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, r"episodes.csv does not exist; make it with: make eval RUN="),
+        ("episode,return\n0,1.0\n1\n", "episodes.csv is damaged"),
+        ("episode,return\n0,much\n", "damaged .*much"),
+        ("", "episodes.csv is damaged"),
+    ],
+)
+def test_a_table_that_cannot_be_read_is_named(tmp_path: Path, text: str | None, message: str):
+    if text is not None:
+        (tmp_path / "episodes.csv").write_text(text)
+    with pytest.raises(RunDirectoryError, match=message):
+        load_columns(tmp_path / "episodes.csv")
+
+
+def test_make_eval_writes_them_beside_the_summary(tmp_path: Path, demos: Path):
+    config = tiny_config("bc", tmp_path, demos, "torch_threads=1")
+    build_run(config, where(config)).train()
+    run = where(config)
+    result = CliRunner().invoke(app, ["eval", str(run), "--episodes", "3"])
+    assert result.exit_code == 0, result.output
+    summary = json.loads((run / EVALUATION).read_text())
+    episodes = load_columns(run / "episodes.csv")
+    assert len(episodes["episode"]) == 3
+    assert np.mean(episodes["return"]) == pytest.approx(summary["return_mean"])
+    assert len(load_columns(run / "progress.csv")["step"]) == max(episodes["steps"])
+    assert len(summary["made_from"]["demos_sha256"]) == 64
