@@ -109,8 +109,9 @@ def curves(rows: Sequence[ReportRow], reference: Reference | None) -> Section:
         "curves",
         "Learning curves",
         "Evaluations while training, of fewer episodes than the final one. Line: mean over seeds; "
-        "band: its 95 % interval (bootstrap over seeds; none with one seed). Dashed: the published "
-        "number of the row, where there is one.",
+        "band: its 95 % interval (bootstrap over seeds; none with one seed). Level: what was "
+        "learned from demonstrations alone, in the end. Dashed: the published number of the row, "
+        "where there is one.",
         charts=charts,
         absent=told_once(lacking),
     )
@@ -125,10 +126,20 @@ def _panels(
     reference: Reference | None = None,
 ) -> list[Chart]:
     """Panels of a few rows each, all with one vertical axis."""
-    found = [
-        Curve(row.name, band, place, published(row, key, reference))
+    known = [
+        (place, row, band)
         for place, row in enumerate(rows)
         if (band := curve_of(row, key)) is not None
+    ]
+    end = max((band.x[-1] for _, row, band in known if not _offline(row)), default=None)
+    found = [
+        Curve(
+            row.name,
+            band if end is None or not _offline(row) else _level(band, float(end)),
+            place,
+            published(row, key, reference),
+        )
+        for place, row, band in known
     ]
     span = None if share or not found else _span([curve.band for curve in found])
     groups = panels(found, lambda curve: curve.place)
@@ -139,6 +150,18 @@ def _panels(
         )
         for i, group in enumerate(groups)
     ]
+
+
+def _offline(row: ReportRow) -> bool:
+    """Whether it took no frames, so that its curve is over its updates."""
+    return row.told("frames") == 0
+
+
+def _level(band: Band, end: float) -> Band:
+    """The last value of a curve, from no frames to ``end``."""
+    return Band(
+        np.array([0.0, end]), *(np.repeat(v[-1], 2) for v in (band.mean, band.low, band.high))
+    )
 
 
 def published(row: ReportRow, key: str, reference: Reference | None) -> float | None:

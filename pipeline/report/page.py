@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -63,6 +64,7 @@ class Section:
         clips: of the page only.
         folded: whether the charts are closed until they are asked for.
         absent: what cannot be shown and why, a line each.
+        told: whether it has its place also with nothing but that.
     """
 
     key: str
@@ -73,14 +75,29 @@ class Section:
     clips: Sequence[Clip] = ()
     folded: bool = False
     absent: Sequence[str] = field(default_factory=tuple)
+    told: bool = False
+
+    @property
+    def empty(self) -> bool:
+        """Whether it has nothing to show, only reasons why not."""
+        return bool(self.absent) and not (self.told or self.tables or self.charts or self.clips)
+
+
+NAMED: Final = 6
+"""Rows or runs that are named where something is lacking; of more the number is told."""
 
 
 def told_once(lacking: Mapping[str, str]) -> list[str]:
-    """What is lacking by row, as a line for each reason."""
+    """What is lacking by row or run, as a line for each reason."""
     names: dict[str, list[str]] = {}
     for name, reason in lacking.items():
         names.setdefault(reason, []).append(name)
-    return [f"{', '.join(of)}: {reason}" for reason, of in names.items()]
+    return [f"{_listed(of)}: {reason}" for reason, of in names.items()]
+
+
+def _listed(names: Sequence[str]) -> str:
+    further = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {further} more" if further > 0 else "")
 
 
 @dataclass(frozen=True)
@@ -90,6 +107,16 @@ class Report:
     title: str
     summary: str
     sections: Sequence[Section]
+
+    @property
+    def shown(self) -> list[Section]:
+        """Sections with a place of their own."""
+        return [section for section in self.sections if not section.empty]
+
+    @property
+    def lacking(self) -> list[Section]:
+        """Sections of which only the reasons are told, together at the end."""
+        return [section for section in self.sections if section.empty]
 
     def html(self) -> str:
         """One file that needs no network: styles, plotly and data are in it."""

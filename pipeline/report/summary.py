@@ -228,7 +228,9 @@ def missing(rows: Sequence[ReportRow]) -> Section | None:
     lines = [f"{run.name}: {line}" for row in rows for run in row.runs for line in run.missing]
     if not lines:
         return None
-    return Section("missing", "What is missing", absent=lines)
+    return Section(
+        "missing", "What is missing", "These could not be read:", absent=lines, told=True
+    )
 
 
 def _or_dash(value: Any) -> str:

@@ -52,6 +52,7 @@ def make_run(
     variant: str = "dbc_sac",
     points: list[dict[str, Any]] | None = None,
     task: str = "door",
+    frames: int = 40,
     further: dict[str, Any] | None = None,
     **values: Any,
 ) -> Path:
@@ -69,7 +70,7 @@ def make_run(
         "bc_weight": 1.0,
         "demos": "demos.h5",
         "demos_sha256": "abcdef0123456789",
-        "frames": 40,
+        "frames": frames,
         "evaluation_seed": 7,
         "overrides": [],
         "versions": {"git": "0123456789abcdef", "git_dirty": True, "packages": {"torch": "2.0"}},

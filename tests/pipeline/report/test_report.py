@@ -115,6 +115,29 @@ def test_the_interval_of_one_seed_is_over_its_episodes(tmp_path: Path):
     assert found["return"] == "5.0 [1.9, 8.1] / 966.7"
 
 
+def test_what_took_no_frames_is_a_level_line(tmp_path: Path):
+    """Its curve counts updates, which are no place on an axis of frames."""
+    make_run(tmp_path / "rl" / "seed0", points=curve(0.0, 0.3, 0.5))
+    make_run(tmp_path / "clone" / "seed0", variant="bc", frames=0, points=curve(0.1, 0.4, 0.7, 0.8))
+    traces = drawn(reported(tmp_path), "curves", "share that succeeds")
+    (level,) = (trace for trace in traces if trace.get("name") == "clone")
+    assert (level["x"], level["y"]) == ([0.0, 200.0], [0.8, 0.8])
+
+
+def test_sections_without_anything_to_show_are_told_together(tmp_path: Path):
+    for seed in range(8):
+        make_run(tmp_path / "mine" / f"seed{seed}", seed=seed)
+    report = reported(tmp_path)
+    assert section(report, "films").empty
+    assert not section(report, "results").empty
+    page, text = report.html(), report.markdown()
+    assert "<h2>Films</h2>" not in page
+    assert page.index("<h2>Not shown</h2>") > page.index("<h2>Results</h2>")
+    told = "mine/seed5 and 2 more: no film in its folder"
+    assert told in page
+    assert f"- Films: mine/seed0, mine/seed1, mine/seed2, mine/seed3, mine/seed4, {told}" in text
+
+
 def test_curves_are_means_over_seeds_with_the_published_number(two_seeds: Report):
     band, mean = drawn(two_seeds, "curves", "share that succeeds")
     assert mean["x"] == [0.0, 100.0]
