@@ -104,8 +104,8 @@ def curves_panel(
         band, colour = curve.band, COLOURS[curve.place % ROWS_A_PANEL]
         if not np.array_equal(band.low, band.high):
             figure.add_scatter(
-                x=_short([*band.x, *band.x[::-1]]),
-                y=_short([*band.high, *band.low[::-1]]),
+                x=short([*band.x, *band.x[::-1]]),
+                y=short([*band.high, *band.low[::-1]]),
                 fill="toself",
                 fillcolor=_transparent(colour),
                 line={"width": 0},
@@ -113,8 +113,8 @@ def curves_panel(
                 showlegend=False,
             )
         figure.add_scatter(
-            x=_short(band.x),
-            y=_short(band.mean),
+            x=short(band.x),
+            y=short(band.mean),
             name=curve.name,
             mode="lines+markers" if len(band.x) < 2 else "lines",
             line={"color": colour, "width": 2},
@@ -148,7 +148,7 @@ def bars(
     for (name, lengths), colour in zip(parts.items(), colours, strict=True):
         figure.add_bar(
             y=list(rows),
-            x=_short(lengths),
+            x=short(lengths),
             name=name,
             orientation="h",
             marker={"color": colour, "line": {"width": 0}},
@@ -179,15 +179,15 @@ def start_map(x: Floats, y: Floats, share: Floats, labels: tuple[str, str]) -> g
     order = np.argsort(-share, kind="stable")  # failures are drawn last, on top
     figure = blank(*labels, height=320)
     figure.add_scatter(
-        x=_short(x[order]),
-        y=_short(y[order]),
+        x=short(x[order]),
+        y=short(y[order]),
         mode="markers",
         marker={
-            "color": _short(share[order]),
+            "color": short(share[order]),
             "colorscale": [[0.0, "#d1432f"], [0.5, "#e0a800"], [1.0, "#3b8ed0"]],
             "cmin": 0,
             "cmax": 1,
-            "size": _short(np.where(share[order] < 1, 8, 5)),
+            "size": short(np.where(share[order] < 1, 8, 5)),
             "opacity": 0.75,
             "line": {"width": 0},
             "colorbar": {"thickness": 10, "tickvals": [0, 0.5, 1]},
@@ -212,16 +212,16 @@ def binned_panel(
     figure = blank(x, "share that succeeds", share=True)
     for name, (middles, shares, low, high) in bins.items():
         figure.add_scatter(
-            x=_short(middles),
-            y=_short(shares),
+            x=short(middles),
+            y=short(shares),
             name=name,
             mode="lines+markers",
             line={"color": COLOURS[places[name] % ROWS_A_PANEL], "width": 2},
             error_y={
                 "type": "data",
                 "symmetric": False,
-                "array": _short(np.subtract(high, shares)),
-                "arrayminus": _short(np.subtract(shares, low)),
+                "array": short(np.subtract(high, shares)),
+                "arrayminus": short(np.subtract(shares, low)),
                 "thickness": 1,
                 "width": 3,
             },
@@ -240,7 +240,7 @@ def heat_map(cells: Mapping[str, Sequence[tuple[str, float | None]]]) -> go.Figu
     rows = [[*row, *more] for row, more in zip(cells.values(), lacking, strict=True)]
     figure = blank("setting, from weak to strong", "", height=90 + LINE_PX * 2 * len(rows))
     figure.add_heatmap(
-        z=[_short([np.nan if share is None else share for _, share in row]) for row in rows],
+        z=[short([np.nan if share is None else share for _, share in row]) for row in rows],
         y=list(cells),
         text=[[_in_cell(*cell) for cell in row] for row in rows],
         texttemplate="%{text}",
@@ -266,7 +266,7 @@ def _transparent(colour: str, alpha: float = 0.2) -> str:
     return f"rgba({red},{green},{blue},{alpha})"
 
 
-def _short(values: Any) -> list[float | None]:
+def short(values: Any) -> list[float | None]:
     """Plain numbers with few digits; what is not finite is left out."""
     array = np.asarray(values, dtype=np.float64)
     return [float(f"{v:.{DIGITS}g}") if np.isfinite(v) else None for v in array]

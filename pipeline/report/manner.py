@@ -44,6 +44,7 @@ def strategies(rows: Sequence[ReportRow]) -> Section | None:
                 ["row", "threshold", *words],
                 [line for name, told in found.items() for line in _sensitivity(name, told, words)],
                 title="At other thresholds, one at a time",
+                folded=True,
             ),
         ],
         charts=[

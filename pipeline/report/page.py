@@ -20,6 +20,8 @@ class Table:
     rows: Sequence[Sequence[str]]
     title: str = ""
     caption: str = ""
+    folded: bool = False
+    """Whether it is closed, under its title, until it is asked for."""
 
     def markdown(self) -> str:
         """As a table of GitHub's Markdown."""

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from envs.reference import Column, Reference
+from pipeline.report.charts import chart
 from pipeline.report.learning import published
 from pipeline.report.numbers import HOW, estimate
 from pipeline.report.page import Section, Table
+from pipeline.report.plane import Spread, plane
 from pipeline.report.rows import ReportRow, different, recipe
 from pipeline.report.sources import ReportRun
 from pipeline.results.run_tables import RETURN, cell
@@ -85,37 +87,60 @@ ALIKE = (
 
 def alike(rows: Sequence[ReportRow]) -> Section | None:
     """How alike the movements are to demonstrations; None if no evaluation compared them."""
-    shown: dict[str, list[str]] = {}
-    lines = []
+    shown: dict[str, list[Mapping[str, Any]]] = {}
+    own: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         found = [told for run in row.runs if (told := (run.evaluation or {}).get("likeness"))]
         for told in found:
-            shown.setdefault(f"demonstrations: {told['to']}", _alike([told["of_demonstrations"]]))
+            shown.setdefault(f"demonstrations: {told['to']}", [told["of_demonstrations"]])
         if found:
-            lines.append([row.name, *_alike(found)])
-    if not lines:
+            own[row.name] = found
+    if not own:
         return None
+    everything = {**shown, **own}
     return Section(
         "likeness",
         "Likeness to the demonstrations",
         "Median [10, 90 %] over episodes, up to the first success; means over seeds. Distances are "
         "to the nearest demonstration, by dynamic time warping, and of a demonstration to the "
-        "nearest other one.",
+        "nearest other one. Further left is faster, further down more alike.",
         tables=[
             Table(
                 ["movements", *(header for _, header, _ in ALIKE)],
-                [*([name, *cells] for name, cells in shown.items()), *lines],
+                [[name, *_alike(found)] for name, found in everything.items()],
+            )
+        ],
+        charts=[
+            chart(
+                "speed against likeness",
+                plane(
+                    {name: _quantiles(found, "steps") for name, found in everything.items()},
+                    {
+                        name: _quantiles(found, "path_distance")
+                        for name, found in everything.items()
+                    },
+                    ("steps until success", "path, cm from the nearest demonstration"),
+                ),
+                wide=True,
             )
         ],
     )
 
 
+def _quantiles(found: Sequence[Mapping[str, Any]], key: str) -> Spread | None:
+    """10, 50 and 90 % over episodes, means over seeds, in the table's unit; None if unknown."""
+    known = [of_one[key] for of_one in found if of_one.get(key) is not None]
+    if not known:
+        return None
+    low, middle, high = {key: scale for key, _, scale in ALIKE}[key] * np.mean(known, axis=0)
+    return float(low), float(middle), float(high)
+
+
 def _alike(found: Sequence[Mapping[str, Any]]) -> list[str]:
     cells = []
-    for key, _, scale in ALIKE:
-        known = [of_one[key] for of_one in found if of_one.get(key) is not None]
-        low, middle, high = scale * np.mean(known, axis=0) if known else (None, None, None)
-        cells.append("-" if middle is None else f"{middle:.3g} [{low:.3g}, {high:.3g}]")
+    for key, _, _ in ALIKE:
+        known = _quantiles(found, key)
+        cells.append("-" if known is None else "{1:.3g} [{0:.3g}, {2:.3g}]".format(*known))
     return cells
 
 

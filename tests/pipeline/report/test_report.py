@@ -15,7 +15,7 @@ from pipeline.cli import app
 from pipeline.files.run_files import RunDirectoryError
 from pipeline.machine import extras
 from pipeline.report.build import build_report, write_report
-from pipeline.report.page import Report, Section
+from pipeline.report.page import Report, Section, Table
 from pipeline.report.rows import group
 from pipeline.report.sources import read_runs
 from pipeline.results.robustness import ROBUSTNESS, Ladder, Measured, Robustness
@@ -225,16 +225,31 @@ def test_a_diagnostic_out_of_its_range_is_marked(tmp_path: Path):
     }
 
 
+def test_a_long_table_is_closed_until_it_is_asked_for():
+    table = Table(["row", "share"], [["mine", "1"]], "At other thresholds", folded=True)
+    page = Report("title", "summary", [Section("long", "Long", tables=[table])]).html()
+    (inside,) = re.findall(
+        r"<details><summary>At other thresholds</summary>(.*?)</details>", page, re.DOTALL
+    )
+    assert "mine" in inside
+    assert "<h3>At other thresholds</h3>" not in page
+
+
 def test_likeness_stands_below_that_of_the_demonstrations(tmp_path: Path):
     for seed, path in ((0, [0.01, 0.02, 0.03]), (1, [0.03, 0.04, 0.05])):
         theirs = {"path_distance": [0.01, 0.015, 0.02], "jerk_mean": None}
         alike = {"to": "demos.h5", "path_distance": path, "of_demonstrations": theirs}
+        alike["steps"], theirs["steps"] = [70.0, 80.0 + 20 * seed, 120.0], [150.0, 200.0, 210.0]
         make_run(tmp_path / f"{seed}", seed=seed, further={"likeness": alike})
     shown = section(reported(tmp_path), "likeness").tables[0]
     assert [(row[0], row[1]) for row in shown.rows] == [
         ("demonstrations: demos.h5", "1.5 [1, 2]"),
         ("dbc_sac", "3 [2, 4]"),  # means over the two seeds, cm
     ]
+    demonstrations, ours = drawn(reported(tmp_path), "likeness", "speed against likeness")
+    assert (demonstrations["x"], demonstrations["y"]) == ([200.0], [1.5])
+    assert (ours["name"], ours["x"], ours["y"]) == ("dbc_sac", [90.0], [3.0])
+    assert (ours["error_x"]["array"], ours["error_x"]["arrayminus"]) == ([30.0], [20.0])
 
 
 def test_wall_time_is_in_minutes_by_part(two_seeds: Report):
