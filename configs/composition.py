@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any, Final
 
 from hydra import compose as hydra_compose
@@ -23,8 +25,7 @@ from pipeline.renamed import rename_overrides
 _logger = logging.getLogger(__name__)
 
 Defaults = Mapping[str, Mapping[str, object]]
-ADJUSTED: Final = ("preset/default", "variant/best")
-"""Configuration files behind which a task may put values of its own."""
+HERE: Final = Path(__file__).parent
 TASK_KEY: Final = "task.name="
 NEW_KEYS: Final = ("task.kwargs.", "task.randomise.factors.", "task.randomise.outside.")
 """Begin the keys of dictionaries, which any task may name."""
@@ -36,8 +37,25 @@ def task_named(overrides: Sequence[str]) -> str:
     return literal(named[-1]) if named else TaskSettings.name
 
 
+@cache
+def adjusted() -> tuple[str, ...]:
+    """Configuration files behind which a task may put values of its own.
+
+    Those are the files that ask for them in their own list of defaults, such as
+    ``optional /task_variant@_global_: best`` in ``variant/best``.
+    """
+    found = []
+    for folder in ("preset", "variant"):
+        for path in sorted((HERE / folder).glob("*.yaml")):
+            asked = f"optional /task_{folder}@_global_"
+            content: Any = OmegaConf.to_container(OmegaConf.load(path))
+            if {asked: path.stem} in content.get("defaults", []):
+                found.append(f"{folder}/{path.stem}")
+    return tuple(found)
+
+
 def register_task_defaults(defaults: Defaults) -> None:
-    """Has Hydra put a task's own values behind the files of :data:`ADJUSTED`.
+    """Has Hydra put a task's own values behind the files of :func:`adjusted`.
 
     Args:
         defaults: values of dotted keys, by file (:attr:`envs.task.Task.defaults`).
@@ -45,10 +63,10 @@ def register_task_defaults(defaults: Defaults) -> None:
     Raises:
         ValueError: If a file is none of those.
     """
-    unknown = sorted(set(defaults) - set(ADJUSTED))
+    unknown = sorted(set(defaults) - set(adjusted()))
     if unknown:
-        raise ValueError(f"task defaults follow {unknown}, which is none of {list(ADJUSTED)}")
-    for file in ADJUSTED:
+        raise ValueError(f"task defaults follow {unknown}, which is none of {list(adjusted())}")
+    for file in adjusted():
         folder, name = file.split("/")
         node: Any = OmegaConf.create({})
         for key, value in defaults.get(file, {}).items():

@@ -50,5 +50,14 @@ DEFAULTS: Final[Mapping[str, Mapping[str, object]]] = MappingProxyType(
             # that it only takes for open (section 14).
             "demos.end_progress": 1.5,
         },
+        "variant/gentle": {
+            # Played at about the speed at which they were recorded: jerk grows with its third
+            # power, and `best`, whose demonstrations are faster by a third, flings doors.
+            "demos.multiply.speed_low": 0.9,
+            "demos.multiply.speed_high": 1.15,
+            # As for `best`: what only just succeeds leaves no room.
+            "demos.multiply.min_progress": 1.5,
+            "demos.end_progress": 1.5,
+        },
     }
 )

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from copy import deepcopy
+from dataclasses import dataclass
+from statistics import median
 from typing import Any
 
 from pydantic.dataclasses import dataclass as settings
-from scipy.stats import binomtest
+from scipy.stats import binomtest, mannwhitneyu
 from torch import nn
 from torchrl.trainers import Trainer, TrainerHookBase
 
@@ -17,6 +19,58 @@ from pipeline.data.episodes import FinishedEpisode
 from pipeline.settings import STRICT, Count, Share
 
 _logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a window of training episodes is beside those before it.
+
+    Attributes:
+        chance: of as bad a window if nothing has changed, in [0, 1]; 1 without any before it.
+        usual: whether it is at least as good as what is usual.
+        seen: in words.
+    """
+
+    chance: float
+    usual: bool
+    seen: str
+
+
+def by_success(window: Collection[float], usual: Collection[float]) -> Verdict:
+    """Judge by successes, 1 or 0 an episode: a one-sided binomial test.
+
+    Args:
+        window: W episodes.
+        usual: those before them.
+    """
+    successes, episodes = int(sum(window)), len(window)
+    # Laplace's rule: after nothing but successes, one failure is still possible.
+    rate = (sum(usual) + 1) / (len(usual) + 2)
+    chance = binomtest(successes, episodes, rate, alternative="less").pvalue if usual else 1.0
+    return Verdict(
+        float(chance),
+        successes >= rate * episodes,
+        f"{successes} of {episodes} training episodes succeeded",
+    )
+
+
+def by_return(window: Collection[float], usual: Collection[float]) -> Verdict:
+    """Judge by returns, whatever their scale and shape: a one-sided rank test (Mann-Whitney).
+
+    Args:
+        window: W episodes.
+        usual: those before them.
+    """
+    own, before = list(window), list(usual)
+    # Where all returns are one number, the test has nothing to rank and gives no number.
+    flat = len({*own, *before}) == 1
+    chance = 1.0 if flat or not before else mannwhitneyu(own, before, alternative="less").pvalue
+    middle = median(own)
+    return Verdict(
+        float(chance),
+        not before or middle >= median(before),
+        f"half of {len(own)} training episodes returned less than {middle:.4g}",
+    )
 
 
 @settings(frozen=True, kw_only=True, config=STRICT)
@@ -33,12 +87,12 @@ class BacktrackHook(TrainerHookBase):
 
     An actor that gets faster goes over a cliff now and then: the critics, who have not seen what
     is beyond, follow some thousand frames later. Every ``window`` training episodes are compared
-    with the ``memory`` before them, by a one-sided binomial test. Too few successes, and the actor
-    gets back the weights with which the last window of at least the usual success began; critics
-    and buffers keep what they learned from the failures. Failures count as usual too, so a policy
-    that cannot do better is not held back for ever. Only training episodes are looked at, never
-    an evaluation. TD7 also judges and keeps policies by whole training episodes (Fujimoto et al.,
-    2023, arXiv:2306.02451).
+    with the ``memory`` before them, by a one-sided test: of their successes, or of their returns
+    where the task tells no success. Too few or too low, and the actor gets back the weights with
+    which the last window of at least the usual began; critics and buffers keep what they learned
+    from the failures. Failures count as usual too, so a policy that cannot do better is not held
+    back for ever. Only training episodes are looked at, never an evaluation. TD7 also judges and
+    keeps policies by whole training episodes (Fujimoto et al., 2023, arXiv:2306.02451).
 
     Deviation: the paper never takes an update back; ``backtrack.level=null`` does not either.
 
@@ -65,24 +119,22 @@ class BacktrackHook(TrainerHookBase):
             )
         self.modules = list(modules)
         self.level = level
-        self.window: deque[bool] = deque(maxlen=window)
-        self.usual: deque[bool] = deque(maxlen=memory)
+        self.window: deque[float] = deque(maxlen=window)
+        self.usual: deque[float] = deque(maxlen=memory)
         self.count = 0
         self._candidate = self._weights()
         self._good = self._candidate
 
     def __call__(self, episode: FinishedEpisode, frame: int) -> None:
         """Takes one finished training episode; goes back at most once per window."""
-        self.window.append(bool(episode.success))
+        told = episode.success is not None
+        self.window.append(float(bool(episode.success)) if told else episode.episode_return)
         if len(self.window) < (self.window.maxlen or 0):
             return
-        successes, episodes = sum(self.window), len(self.window)
-        # Laplace's rule: after nothing but successes, one failure is still possible.
-        rate = (sum(self.usual) + 1) / (len(self.usual) + 2)
-        test = binomtest(successes, episodes, rate, alternative="less")
-        if self.usual and test.pvalue < self.level:
-            self._go_back(f"{successes} of {episodes} training episodes at {frame} frames")
-        elif successes >= rate * episodes:
+        verdict = (by_success if told else by_return)(self.window, self.usual)
+        if verdict.chance < self.level:
+            self._go_back(f"{verdict.seen} at {frame} frames")
+        elif verdict.usual:
             self._good = self._candidate
         self.usual.extend(self.window)
         self.window.clear()
@@ -92,7 +144,7 @@ class BacktrackHook(TrainerHookBase):
         for module, weights in zip(self.modules, self._good, strict=True):
             module.load_state_dict(weights)
         self.count += 1
-        _logger.info("back to the last good policy: %s succeeded", seen)
+        _logger.info("back to the last good policy: %s", seen)
 
     def _weights(self) -> list[dict[str, Any]]:
         return [deepcopy(module.state_dict()) for module in self.modules]

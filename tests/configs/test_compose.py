@@ -9,7 +9,7 @@ import pytest
 from hydra.errors import ConfigCompositionException, MissingConfigException
 
 import configs
-from configs.composition import register_task_defaults, spelled_for_hydra, task_named
+from configs.composition import adjusted, register_task_defaults, spelled_for_hydra, task_named
 from pipeline.recipe import Recipe
 from pipeline.renamed import RENAMED, rename_keys
 from pipeline.run_dir import load_recipe, overridden
@@ -18,7 +18,7 @@ from pipeline.settings import SettingsError
 POLICIES = Path(__file__).parents[2] / "docs" / "results" / "policies"
 PAPER = ["sac", "bc", "bc_sac", "dbc_sac", "sid_bc", "sid_dbc", "ila_bc", "ila_dbc", "da_sac"]
 RIVALS = ["ibrl", "loki", "qc_rlpd", "rfcl", "rlpd", "sacfd", "sil"]
-VARIANTS = [*PAPER, "best", *RIVALS]
+VARIANTS = [*PAPER, "best", "gentle", *RIVALS]
 PRESETS = ["smoke", "default", "table", "paper"]
 
 
@@ -211,6 +211,18 @@ def test_a_task_puts_its_values_behind_a_preset_and_before_a_variant():
     assert other.loss.gamma == 0.995  # of the variant itself
     # A later composition knows nothing of an earlier one's task.
     assert compose_config("best", "default").loss.progress_bonus == 10.0
+
+
+def test_every_file_that_asks_for_a_tasks_values_is_one_that_they_may_follow():
+    assert adjusted() == ("preset/default", "variant/best", "variant/gentle")
+    gentle = compose_config("gentle", "default")
+    assert (gentle.demos.multiply.speed_low, gentle.demos.multiply.speed_high) == (0.9, 1.15)
+    assert gentle.evaluation.exploration == "mean"
+    other = compose_config("gentle", "default", "task.name='gymnasium:Pendulum-v1'")
+    assert (
+        other.demos.multiply.speed_high
+        == compose_config("bc_sac", "paper").demos.multiply.speed_high
+    )
 
 
 def test_what_is_typed_comes_last():

@@ -68,6 +68,62 @@ def test_too_few_successes_for_chance_take_the_weights_back(
     assert weight.hook.counted() == {"backtracks": float(goes_back)}
 
 
+def returned(hook: BacktrackHook, *returns: float) -> None:
+    """One episode a return, of a task that tells no success."""
+    for value in returns:
+        steps = trajectory([0.0], truncated=[0])
+        hook(FinishedEpisode(steps, value, success=None, max_progress=float("nan")), 1000)
+
+
+# Two returns below all of four others: one of the 6 * 5 / 2 = 15 ways to pick two of six. One below
+# all and one in the middle of the four: of the 15, those whose ranks add up to 1 + 4 = 5 or less,
+# which are (1, 2), (1, 3), (1, 4) and (2, 3).
+@pytest.mark.parametrize(
+    ("level", "returns", "goes_back"),
+    [
+        (0.07, (1.0, 2.0), True),
+        (0.06, (1.0, 2.0), False),
+        (0.26, (-900.0, 25.0), False),
+        (0.27, (-900.0, 25.0), True),
+        (0.99, (50.0, 60.0), False),
+    ],
+)
+def test_without_success_too_low_returns_take_the_weights_back(
+    level: float, returns: tuple[float, float], goes_back: bool
+):
+    weight = Weight(level, memory=4)
+    returned(weight.hook, 20.0, 10.0, 30.0, 40.0)
+    weight.set(1.0)
+    returned(weight.hook, *returns)
+    assert weight.value == (0.0 if goes_back else 1.0)
+
+
+def test_returns_that_are_all_alike_say_nothing():
+    weight = Weight(level=0.99)
+    returned(weight.hook, *[5.0] * 4)
+    weight.set(1.0)
+    returned(weight.hook, *[5.0] * 4)
+    assert weight.value == 1.0
+
+
+def test_a_window_of_less_than_the_usual_return_is_not_one_to_go_back_to():
+    weight = Weight(level=0.07, memory=4)
+    for value, returns in [(1.0, (10.0, 20.0)), (2.0, (30.0, 40.0)), (3.0, (5.0, 35.0))]:
+        weight.set(value)
+        returned(weight.hook, *returns)
+    # The third began with 2 and has a median of 20, below 25; the second began with 1.
+    weight.set(4.0)
+    returned(weight.hook, 1.0, 2.0)
+    assert weight.value == 1.0
+
+
+@pytest.mark.parametrize("spread", [0.1, 1.0])
+def test_an_unchanged_return_goes_back_about_as_often_as_the_level_says(spread: float):
+    weight = Weight(level=0.05, window=10, memory=100)
+    returned(weight.hook, *np.random.default_rng(0).lognormal(3.0, spread, 10_000))
+    assert 0 < weight.hook.count < 0.08 * 1000
+
+
 def test_a_window_below_the_usual_rate_is_not_one_to_go_back_to():
     weight = Weight(level=0.1, memory=8)
     for value, outcomes in [(1.0, "oo"), (2.0, "oo"), (3.0, "ox"), (4.0, "xx")]:
