@@ -35,6 +35,7 @@ from pipeline.resuming import (
     require_changeable,
 )
 from pipeline.run_dir import create_run_dir, save_recipe, saved_recipe
+from pipeline.scale_choice import unscaled, with_chosen_scale
 from pipeline.trainer import Run, seed_everything
 from pipeline.watch.loggers import require_loggers
 
@@ -116,8 +117,9 @@ def _compose(recipe: Recipe, run_dir: Path, time_use: TimeUse) -> Run:
     if recipe.curriculum.reverse:  # before minutes of demonstrations
         task.require("states", "curriculum.reverse=true")
     with time_use.part("demonstrations"):
-        demos = _demonstrations(recipe, task)
-    chosen = with_chosen_imitation(recipe, demos)
+        demos = _demonstrations(unscaled(recipe), task)
+    chosen, demos = with_chosen_scale(recipe, demos)
+    chosen = with_chosen_imitation(chosen, demos)
     clone = partial(behaviour_cloned, chosen, task, demos, time_use)
     chosen = with_chosen_entropy(chosen, clone, demos)
     if chosen != recipe:

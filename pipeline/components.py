@@ -57,7 +57,7 @@ def make_rows(recipe: Recipe, *, to_end: bool = False) -> TransitionRows:
     return TransitionRows(
         loss.gamma,
         loss.n_step,
-        loss.reward_scale,
+        loss.reward_factor,
         bonus if loss.progress_bonus else None,
         columns=() if make_emphasis(recipe) is None else (PROGRESS,),
         to_end=to_end,

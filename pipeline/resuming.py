@@ -41,11 +41,12 @@ DECIDED: Final[Mapping[str, object]] = {
     "compile_updates": None,
     "onednn": None,
     "cuda_graphs": None,
+    "loss.reward_scale": "auto",
     "loss.imitation": "auto",
     "loss.target_entropy": "clone",
 }
 """Keys that a run decides when it starts, by the value that leaves them open (pipeline/compute.py,
-pipeline/imitation_choice.py, pipeline/entropy_choice.py)."""
+pipeline/scale_choice.py, pipeline/imitation_choice.py, pipeline/entropy_choice.py)."""
 
 Changes = Mapping[str, tuple[Any, Any]]
 """Old and new value by key."""

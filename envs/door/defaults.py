@@ -53,8 +53,8 @@ DEFAULTS: Final[Mapping[str, Mapping[str, object]]] = MappingProxyType(
         "variant/gentle": {
             # Played at about the speed at which they were recorded: jerk grows with its third
             # power, and `best`, whose demonstrations are faster by a third, flings doors.
-            "demos.multiply.speed_low": 0.9,
-            "demos.multiply.speed_high": 1.15,
+            "demos.multiply.speed_low": 1.1,
+            "demos.multiply.speed_high": 1.35,
             # As for `best`: what only just succeeds leaves no room.
             "demos.multiply.min_progress": 1.5,
             "demos.end_progress": 1.5,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +22,7 @@ from envs.demonstrations import (
 )
 from envs.demonstrations.episode import Episode
 from envs.steps import counted_steps
+from pipeline.data.returns import TO_END
 from pipeline.data.rows import TransitionRows
 from pipeline.learn.networks import ObservationNormalizer
 from pipeline.settings import STRICT, Count, NotNegative, Positive, Rate, Share
@@ -107,12 +108,33 @@ class Demonstrations:
     episodes: Sequence[Episode] = ()
     """What the rows to train on were made of."""
 
+    def rewarded(self, factor: float) -> Demonstrations:
+        """The same with this factor on the rewards of all rows."""
+        return (
+            self
+            if factor == 1.0
+            else replace(
+                self,
+                rows=_rewarded(self.rows, factor),
+                held_out=None if self.held_out is None else _rewarded(self.held_out, factor),
+            )
+        )
+
     def normalizer(self) -> ObservationNormalizer:
         """Standardisation by the mean and standard deviation of the demonstrated observations."""
         observation = self.rows["observation"]
         # Of a single row, torch's estimate of the deviation is 0/0.
         std = observation.std(0) if len(observation) > 1 else torch.zeros_like(observation[0])
         return ObservationNormalizer(observation.mean(0), std)
+
+
+def _rewarded(rows: TensorDictBase, factor: float) -> TensorDictBase:
+    """A copy, as ``TransitionRows`` with this scale would have made it."""
+    scaled = rows.copy()
+    for key in (("next", "reward"), (TO_END, "reward")):
+        if (reward := rows.get(key, None)) is not None:
+            scaled[key] = reward * factor
+    return scaled
 
 
 def success_share(episodes: Sequence[Episode]) -> float | None:

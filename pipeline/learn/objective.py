@@ -89,7 +89,8 @@ class LossSettings:
 
     gamma: Share = 0.99
     n_step: Count = 1  # steps of reward before the bootstrap
-    reward_scale: float = 1.0
+    # Factor on rewards; auto: by what demonstrations are worth (pipeline/scale_choice.py)
+    reward_scale: float | Literal["auto"] = 1.0
     progress_bonus: Rate = 0.0  # training only: reward per unit of progress, at every step
     progress_bonus_cap: float | None = None  # progress beyond which it grows no further
     init_temperature: Positive = 0.1
@@ -111,6 +112,20 @@ class LossSettings:
     self_imitation: SelfImitationSettings = field(default_factory=SelfImitationSettings)
     bc_decay: Share = 0.999  # alpha that the DBC variants give to bc_weight (paper IV-C.4)
     bc_gradient_ratio: Rate | None = None  # if set: bc_weight(n) * ratio * |g_RL| / |g_BC|
+
+    @property
+    def reward_factor(self) -> float:
+        """The factor itself.
+
+        Raises:
+            ValueError: It is not chosen yet (``auto``), as it is where a run is built.
+        """
+        if isinstance(self.reward_scale, str):
+            raise ValueError(
+                f"loss.reward_scale={self.reward_scale} is chosen where a run is built with its "
+                "demonstrations: give a number."
+            )
+        return self.reward_scale
 
     @property
     def imitation_error(self) -> ErrorName:

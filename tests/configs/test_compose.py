@@ -216,7 +216,7 @@ def test_a_task_puts_its_values_behind_a_preset_and_before_a_variant():
 def test_every_file_that_asks_for_a_tasks_values_is_one_that_they_may_follow():
     assert adjusted() == ("preset/default", "variant/best", "variant/gentle")
     gentle = compose_config("gentle", "default")
-    assert (gentle.demos.multiply.speed_low, gentle.demos.multiply.speed_high) == (0.9, 1.15)
+    assert (gentle.demos.multiply.speed_low, gentle.demos.multiply.speed_high) == (1.1, 1.35)
     assert gentle.evaluation.exploration == "mean"
     other = compose_config("gentle", "default", "task.name='gymnasium:Pendulum-v1'")
     assert (
