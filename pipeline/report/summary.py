@@ -15,7 +15,7 @@ from pipeline.report.numbers import HOW, estimate
 from pipeline.report.page import Section, Table
 from pipeline.report.rows import ReportRow, different, recipe
 from pipeline.report.sources import ReportRun
-from pipeline.results.run_tables import RETURN, cell
+from pipeline.results.run_tables import FORMER, RETURN, cell
 
 HEADLINE = (
     Column("success_once", "success", percent=True),
@@ -24,8 +24,6 @@ HEADLINE = (
     Column("steps_to_success_median", "steps to success, median"),
 )
 """Of every task."""
-RENAMED = {"steps_to_success_median": "steps_to_open_median"}
-"""What evaluations of the door called a figure before every task had it."""
 HASH_DIGITS = 10
 
 
@@ -61,8 +59,8 @@ def _beside(
 
 def _estimate(row: ReportRow, column: Column) -> str | None:
     found = estimate(row, column)
-    if found is None and column.key in RENAMED:
-        return estimate(row, replace(column, key=RENAMED[column.key]))
+    if found is None and column.key in FORMER:
+        return estimate(row, replace(column, key=FORMER[column.key]))
     return found
 
 

@@ -64,7 +64,9 @@ Place = tuple[str, str, str]
 
 def save_cells(cells: Sequence[Cell], path: Path) -> None:
     """Writes the file anew; its numbers are figures, so no place on this machine is in it."""
-    runs = {cell.keys: {**cell.conditions, **without_places(cell.run.published())} for cell in cells}
+    runs = {
+        cell.keys: {**cell.conditions, **without_places(cell.run.published())} for cell in cells
+    }
     columnar.save(KEYS, runs, path)
 
 

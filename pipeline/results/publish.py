@@ -75,7 +75,7 @@ def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
 
 
 def has_tables(runs: Path) -> bool:
-    """Whether a folder holds ``ROW/seedN`` of one task that has published tables, by its own reward.
+    """Whether a folder holds ``ROW/seedN`` of a task with published tables, by its own reward.
 
     Of others there is a table over tasks (:mod:`pipeline.results.publish_cells`).
     """

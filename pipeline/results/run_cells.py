@@ -162,9 +162,7 @@ def _checkpoints(run_dir: Path) -> list[int]:
     return [int(found[1]) for found in names if found is not None]
 
 
-def _require_revision(
-    run_dir: Path, what: str, told: Mapping[str, Any], *, unclean: bool
-) -> None:
+def _require_revision(run_dir: Path, what: str, told: Mapping[str, Any], *, unclean: bool) -> None:
     if unclean or (told.get("git") and not told.get("git_dirty")):
         return
     why = "with changes that no revision holds" if told.get("git") else "outside any revision"

@@ -14,6 +14,8 @@ from envs.intervals import wilson
 from envs.reference import Column, Reference
 
 RETURN = "return_mean"
+FORMER = {"steps_to_success_median": "steps_to_open_median"}
+"""What evaluations of the door called a figure before every task had it."""
 NORMAL_95 = 1.959964
 """Deviations of a normal distribution within which 95 % lie."""
 
