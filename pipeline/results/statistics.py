@@ -76,7 +76,7 @@ def over_tasks(scores: Mapping[str, ArrayLike]) -> dict[str, Estimate]:
 
 @contextmanager
 def _drawn_alike() -> Iterator[None]:
-    """The same draws every time: rliable 1.2 draws from numpy's global generator, whatever it is given."""
+    """The same draws every time: rliable 1.2 takes numpy's generator, whatever it is given."""
     state = np.random.get_state()
     np.random.seed(SEED)
     try:
