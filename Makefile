@@ -68,7 +68,9 @@ SEEDS ?= 0 1 2 3 4
 # A target's name can hold neither spaces nor colons, whatever the task is called.
 ROW_TASK := $(if $(value TASK),$(shell printf %s $(call quoted,TASK) | LC_ALL=C tr -c 'A-Za-z0-9._-' _),door)
 ROW_REWARD := $(if $(value REWARD),$(REWARD),dense)
-ROW_RUNS ?= $(if $(filter-out door_dense,$(ROW_TASK)_$(ROW_REWARD)),runs/tasks/$(ROW_TASK)_$(ROW_REWARD),runs/rows)
+ifndef ROW_RUNS
+ROW_RUNS := $(if $(filter-out door_dense,$(ROW_TASK)_$(ROW_REWARD)),runs/tasks/$(ROW_TASK)_$(ROW_REWARD),runs/rows)
+endif
 $(if $(filter rows,$(MAKECMDGOALS)),$(if $(filter-out dense sparse,$(ROW_REWARD)),$(error \
 	make rows takes REWARD=dense or REWARD=sparse, got $(ROW_REWARD))))
 ROW_PRESET ?= $(if $(PRESET),$(PRESET),table)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import cache
-from pathlib import Path
 from statistics import fmean
 
 from scipy.stats import trim_mean
@@ -37,16 +36,16 @@ QUARTER = 0.25
 
 
 @cache
-def listed(results: Path = RESULTS) -> dict[Place, list[Cell]]:
+def listed() -> dict[Place, list[Cell]]:
     """The cells of ``cells.parquet``, by task, reward and row."""
-    return by_place(load_cells(results / FOLDER / FILE))
+    return by_place(load_cells(RESULTS / FOLDER / FILE))
 
 
 @cache
-def published(results: Path = RESULTS) -> dict[Place, list[Cell]]:
+def published() -> dict[Place, list[Cell]]:
     """Every published cell; where a row of the door's tables is listed too, that one counts."""
-    of_tables = [_cell(row, seed) for row in load_published(results) for seed in row.seeds]
-    return by_place(of_tables) | listed(results)
+    of_tables = [_cell(row, seed) for row in load_published(RESULTS) for seed in row.seeds]
+    return by_place(of_tables) | listed()
 
 
 def rewards(task: str) -> tuple[str, ...]:

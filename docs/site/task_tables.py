@@ -131,7 +131,7 @@ def _task(task: str) -> str:
     cost = table(
         ["row", *(f"{c.header}{_beside(rewards)}" for c in steps),
          *(f"{header}{_beside(rewards)}" for header, _ in COST.values()),
-         "demonstrations", *(["how, mostly"] if ways else [])],
+         "preset", "demonstrations", *(["how, mostly"] if ways else [])],
         (
             [
                 code(name),
@@ -140,6 +140,7 @@ def _task(task: str) -> str:
                     _joined([_cost(task, reward, name, key) for reward in rewards])
                     for key in COST
                 ),
+                _joined(dict.fromkeys(_preset(task, r, name) for r in rewards if found[name, r])),
                 _joined(dict.fromkeys(_demos(task, r, name) for r in rewards if found[name, r])),
                 *([_joined([_way(found[name, r]) for r in rewards])] if ways else []),
             ]
@@ -173,6 +174,10 @@ def _cost(task: str, reward: str, name: str, key: str) -> str:
     value = cells.condition(task, reward, name, key)
     _, scale = COST[key]
     return "-" if value is None else f"{value * scale:,.{1 if scale < 1 else 0}f}"
+
+
+def _preset(task: str, reward: str, name: str) -> str:
+    return code(cells.published()[task, reward, name][0].conditions["preset"])
 
 
 def _demos(task: str, reward: str, name: str) -> str:
