@@ -274,7 +274,7 @@ def test_results_are_of_the_rows_or_of_the_folders_that_are_named(echoing: Path)
         return json.loads(run("make", "results", f"VENV={echoing}", *given).stdout)[3:]
 
     assert published() == ["results", "runs/rows"]
-    assert published(f"ROW_RUNS={ODD}", "OUT=x") == ["results", ODD, "--out", "x"]
+    assert published("ROW_RUNS=runs/trial", f"OUT={ODD}") == ["results", "runs/trial", "--out", ODD]
     assert published("RUNS=a b", "ARGS=--unclean") == ["results", "a", "b", "--unclean"]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from functools import cache
 from statistics import fmean
@@ -31,6 +32,8 @@ from pipeline.results.statistics import interquartile_means
 RESULTS = DOCS / "results"
 SEVERAL = 3
 """Seeds from which on an interval is of the seeds."""
+REFERENCE = "reference.json"
+DAPG = "DAPG's policy"
 QUARTER = 0.25
 """Cut off at either end by an interquartile mean."""
 
@@ -46,6 +49,18 @@ def published() -> dict[Place, list[Cell]]:
     """Every published cell; where a row of the door's tables is listed too, that one counts."""
     of_tables = [_cell(row, seed) for row in load_published(RESULTS) for seed in row.seeds]
     return by_place(of_tables) | listed()
+
+
+@cache
+def reference() -> dict[tuple[str, str], ResultRow]:
+    """DAPG's own policies in our tasks, by task and reward (``python -m docs.lab.reference``)."""
+    path = RESULTS / FOLDER / REFERENCE
+    measured = json.loads(path.read_text())["tasks"] if path.is_file() else {}
+    return {
+        (task, reward): ResultRow(DAPG, (Seed(figures, (), ()),))
+        for task, of_task in measured.items()
+        for reward, figures in of_task.items()
+    }
 
 
 def rewards(task: str) -> tuple[str, ...]:

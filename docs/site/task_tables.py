@@ -108,23 +108,22 @@ def _task(task: str) -> str:
     made = [row for row in found.values() if row is not None]
     tells = not made or any(_tells(row, ONCE.key) for row in made)
     outcome = OUTCOME if tells else OUTCOME[len(SUCCESS) :]
+    beside = {reward: cells.reference().get((task, reward)) for reward in rewards}
     reached = table(
         ["row", f"seeds{_beside(rewards)}",
          *(f"{c.header}{_of(reward)}" for c in outcome for reward in rewards)],
-        (
-            [
-                code(name),
-                _joined([_seeds(found[name, reward]) for reward in rewards]),
-                *(
-                    figure
-                    for of_column in zip(
-                        *(cells.figures(found[name, r], outcome) for r in rewards), strict=True
-                    )
-                    for figure in of_column
-                ),
-            ]
-            for name in names
-        ),
+        [
+            *(
+                [
+                    code(name),
+                    _joined([_seeds(found[name, reward]) for reward in rewards]),
+                    *_figures([found[name, reward] for reward in rewards], outcome),
+                ]
+                for name in names
+            ),
+            *([[cells.DAPG, "", *_figures(list(beside.values()), outcome)]] if any(beside.values())
+              else []),
+        ],
     )  # fmt: skip
     steps = STEPS if tells else ()
     ways = any(_tells(row, "strategies") for row in made)
@@ -132,22 +131,37 @@ def _task(task: str) -> str:
         ["row", *(f"{c.header}{_beside(rewards)}" for c in steps),
          *(f"{header}{_beside(rewards)}" for header, _ in COST.values()),
          "preset", "demonstrations", *(["how, mostly"] if ways else [])],
-        (
-            [
-                code(name),
-                *(_joined([cells.middle(found[name, r], c) for r in rewards]) for c in steps),
-                *(
-                    _joined([_cost(task, reward, name, key) for reward in rewards])
-                    for key in COST
-                ),
-                _joined(dict.fromkeys(_preset(task, r, name) for r in rewards if found[name, r])),
-                _joined(dict.fromkeys(_demos(task, r, name) for r in rewards if found[name, r])),
-                *([_joined([_way(found[name, r]) for r in rewards])] if ways else []),
-            ]
-            for name in names
-        ),
+        [
+            *(
+                [
+                    code(name),
+                    *(_joined([cells.middle(found[name, r], c) for r in rewards]) for c in steps),
+                    *(
+                        _joined([_cost(task, reward, name, key) for reward in rewards])
+                        for key in COST
+                    ),
+                    _joined(
+                        dict.fromkeys(_preset(task, r, name) for r in rewards if found[name, r])
+                    ),
+                    _joined(
+                        dict.fromkeys(_demos(task, r, name) for r in rewards if found[name, r])
+                    ),
+                    *([_joined([_way(found[name, r]) for r in rewards])] if ways else []),
+                ]
+                for name in names
+            ),
+            *([[cells.DAPG, *(_joined([cells.middle(row, c) for row in beside.values()])
+                              for c in steps), *["-"] * (len(COST) + 2 + ways)]]
+              if any(beside.values()) else []),
+        ],
     )  # fmt: skip
     return f"{heading}\n\n{reached}\n\n{cost}"
+
+
+def _figures(rows: Sequence[ResultRow | None], columns: Sequence[Column]) -> list[str]:
+    """Of a row by reward: those of one column beside each other."""
+    by_reward = [cells.figures(row, columns) for row in rows]
+    return [figure for of_column in zip(*by_reward, strict=True) for figure in of_column]
 
 
 def _of(reward: str) -> str:

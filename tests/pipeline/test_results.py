@@ -47,7 +47,7 @@ def test_over_tasks_the_middle_half_of_all_runs_counts():
     found = over_tasks({"a": [[0.0, 0.7, 0.2, 0.5], [0.1, 0.6, 0.3, 0.4]]})["a"]
     assert found.iqm.tolist() == pytest.approx([0.35])
     assert 0.0 <= found.low[0] <= 0.35 <= found.high[0] <= 0.7
-    with pytest.raises(ValueError, match="a: expected finite values .seeds, tasks."):
+    with pytest.raises(ValueError, match=r"a: expected finite values .seeds, tasks."):
         over_tasks({"a": [1.0]})
 
 

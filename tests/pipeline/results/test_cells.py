@@ -177,7 +177,7 @@ def test_a_run_that_cannot_be_published_is_named_with_the_remedy(broken: str, tm
 
 def test_a_run_that_is_not_trained_to_its_end_is_refused(tmp_path: Path):
     run = evaluated(tmp_path / "run", recipe(collector={"total_frames": 200}))
-    with pytest.raises(RunDirectoryError, match="as far as 100 of 200 .* make train RESUME="):
+    with pytest.raises(RunDirectoryError, match=r"as far as 100 of 200 .* make train RESUME="):
         read(run)
 
 
@@ -201,7 +201,7 @@ def test_nothing_is_written_where_one_run_is_refused(tmp_path: Path):
 def test_two_runs_of_one_cell_are_refused(tmp_path: Path):
     cells = [read(evaluated(tmp_path / name)) for name in ("one", "two")]
     with pytest.raises(
-        RunDirectoryError, match="one and .*two are both seed 0 of row bc_sac_1 of h"
+        RunDirectoryError, match=r"one and .*two are both seed 0 of row bc_sac_1 of h"
     ):
         merge_cells([], cells)
 
@@ -217,7 +217,7 @@ def test_a_cell_of_two_recipes_is_refused(tmp_path: Path):
 
 
 def test_a_folder_without_runs_names_the_command(tmp_path: Path):
-    with pytest.raises(RunDirectoryError, match="holds no run .*make rows"):
+    with pytest.raises(RunDirectoryError, match=r"holds no run .*make rows"):
         find_runs([tmp_path])
 
 

@@ -11,7 +11,11 @@ from pipeline.files.run_files import RunDirectoryError
 from pipeline.results import columnar
 
 RUNS = {
-    ("b", 1): {"x": 1, "made_from": {"task": "t"}, "curve": {"frames": [0, 5], "stages": [{"a": 1.0}, {}]}},
+    ("b", 1): {
+        "x": 1,
+        "made_from": {"task": "t"},
+        "curve": {"frames": [0, 5], "stages": [{"a": 1.0}, {}]},
+    },
     ("a", 0): {"x": None, "y": 0.5, "curve": {"frames": [], "stages": [{"b": 0.0}]}, "alarms": []},
 }  # fmt: skip
 
