@@ -99,7 +99,8 @@ def result(task: str, reward: str, row: str) -> ResultRow | None:
 def condition(task: str, reward: str, row: str, name: str) -> float | None:
     """Mean over the seeds of a cell of one of its conditions; None if it is not told of all."""
     told = [found.conditions.get(name) for found in published().get((task, reward, row), [])]
-    return fmean(told) if told and all(value is not None for value in told) else None
+    known = [float(value) for value in told if value is not None]
+    return fmean(known) if known and len(known) == len(told) else None
 
 
 def figures(row: ResultRow | None, columns: Sequence[Column]) -> list[str]:

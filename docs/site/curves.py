@@ -27,7 +27,7 @@ SCORES: Final = {ONCE.key: "success once", RETURN: "return"}
 """What is drawn: the first that a row's curves tell."""
 COLUMNS: Final = 3
 PANEL_INCHES: Final = (3.6, 2.8)
-REPRODUCIBLE: Final = {"svg.hashsalt": "bc-sac", "svg.fonttype": "none"}
+REPRODUCIBLE: Final[Any] = {"svg.hashsalt": "bc-sac", "svg.fonttype": "none"}
 Drawn = Callable[[Axes], None]
 
 
@@ -111,7 +111,7 @@ def _curve(axis: Axes, row: ResultRow, key: str, colour: str) -> None:
     """A thin line for each seed, and their interquartile mean."""
     runs = [_points(seed, key) for seed in row.seeds]
     grid = np.unique(runs[0][0][runs[0][0] <= min(frames[-1] for frames, _ in runs)])
-    values = np.stack([on_grid(frames, scores, grid) for frames, scores in runs])
+    values = np.stack([on_grid(frames.tolist(), scores.tolist(), grid) for frames, scores in runs])
     if len(runs) > 1:
         axis.plot(grid, values.T, color=colour, alpha=0.25, linewidth=0.8)
     label = f"{row.name}, {len(runs)} seed{'s' if len(runs) > 1 else ''}"
