@@ -64,7 +64,15 @@ $(call require,table report strip,RUNS,"runs/one runs/two")
 # ---- the rows of the tables: one run for each row and seed ------------------------------------
 ROWS ?= sac bc bc_sac_0.1 bc_sac_1 bc_sac_10 dbc_sac sid_bc sid_dbc ila_bc ila_dbc da_sac
 SEEDS ?= 0 1 2 3 4
-ROW_RUNS ?= runs/rows
+# Each task and reward has a folder of its own, the door's own reward the one that it always had.
+# A target's name can hold neither spaces nor colons, whatever the task is called.
+ROW_TASK := $(if $(value TASK),$(shell printf %s $(call quoted,TASK) | LC_ALL=C tr -c 'A-Za-z0-9._-' _),door)
+ROW_REWARD := $(if $(value REWARD),$(REWARD),dense)
+ifndef ROW_RUNS
+ROW_RUNS := $(if $(filter-out door_dense,$(ROW_TASK)_$(ROW_REWARD)),runs/tasks/$(ROW_TASK)_$(ROW_REWARD),runs/rows)
+endif
+$(if $(filter rows,$(MAKECMDGOALS)),$(if $(filter-out dense sparse,$(ROW_REWARD)),$(error \
+	make rows takes REWARD=dense or REWARD=sparse, got $(ROW_REWARD))))
 ROW_PRESET ?= $(if $(PRESET),$(PRESET),table)
 # Seed by seed, so that an interrupted set has the same seeds in every row.
 ROW_EVALUATIONS = $(foreach seed,$(SEEDS),$(foreach row,$(ROWS),$(ROW_RUNS)/$(row)/seed$(seed)/evaluation.json))
@@ -99,25 +107,26 @@ table: $(STAMP) ## RUNS="dir dir ..." beside the paper's Tables I and II [OUT=fi
 	@$(RUN_PYTHON) -m pipeline.cli table $(RUNS) $(OUT_ARGS) $(ARGS)
 
 .PHONY: rows
-rows: ## train and evaluate the tables' rows, or go on with them; -j2 runs two at a time [ROWS="..."] [SEEDS="0 1"] [DEMOS=...]
+rows: ## train and evaluate rows of the tables, or go on with them; -j2 runs two at a time [TASK=door] [REWARD=dense|sparse] [ROWS="..."] [SEEDS="0 1"] [DEMOS=...] [PRESET=table] [EPISODES=1000] [ROW_RUNS=runs/rows|runs/tasks/TASK_REWARD]
 	@$(MAKE) --no-print-directory --keep-going $(ROW_EVALUATIONS) || { \
 	  for file in $(ROW_EVALUATIONS); do test -s "$$file" || echo "make rows: no $$file" >&2; done; exit 1; }
 
 # A row is a variant; bc_sac_X is bc_sac with lambda = X. One thread a run: runs share the cores.
+# What runs somebody's code is named again when a run goes on, and when it is evaluated.
 $(ROW_RUNS)/%/evaluation.json: | $(STAMP)
 	@set -e; run="$(@D)"; row="$(patsubst %/,%,$(dir $*))"; seed="$(patsubst seed%,%,$(notdir $*))"; \
-	demos=$(call quoted,DEMOS); \
+	demos=$(call quoted,DEMOS); task=$(call quoted,TASK); reward=$(if $(filter sparse,$(ROW_REWARD)),env.reward=sparse); \
 	threads="torch_threads=1 env.num_threads=1 logging.progress=false"; \
 	case "$$row" in \
 	  bc_sac_*) what="variant=bc_sac loss.bc_weight.init=$${row#bc_sac_}";; *) what="variant=$$row";; esac; \
-	if test -f "$$run/config.yaml"; then what="resume=$$run"; demos=; \
+	if test -f "$$run/config.yaml"; then what="resume=$$run"; demos=; reward=; \
 	else rm -rf "$$run"; what="$$what preset=$(ROW_PRESET) seed=$$seed run_dir=$$run $(ARGS)"; fi; \
-	OMP_NUM_THREADS=1 $(RUN_PYTHON) -m pipeline.train $$what $${demos:+"demos.source='$$demos'"} $$threads; \
-	OMP_NUM_THREADS=1 $(RUN_PYTHON) -m pipeline.cli eval "$$run" env.num_threads=1
+	OMP_NUM_THREADS=1 $(RUN_PYTHON) -m pipeline.train $$what $$reward $${task:+"task.name='$$task'"} $${demos:+"demos.source='$$demos'"} $$threads; \
+	OMP_NUM_THREADS=1 $(RUN_PYTHON) -m pipeline.cli eval "$$run" $(TASK_ARGS) $(EPISODE_ARGS) env.num_threads=1
 
 .PHONY: results
-results: $(STAMP) ## publish the evaluated runs below ROW_RUNS=runs/rows to docs/results [OUT=dir]
-	@$(RUN_PYTHON) -m pipeline.cli results "$(ROW_RUNS)" $(OUT_ARGS) $(ARGS)
+results: $(STAMP) ## publish evaluated runs to docs/results: the door's tables from ROW_RUNS=runs/rows, of other tasks and rewards a table over tasks [RUNS="runs/tasks ..."] [OUT=dir] [ARGS="..."]
+	@$(RUN_PYTHON) -m pipeline.cli results $(if $(value RUNS),$(RUNS),$(call quoted,ROW_RUNS)) $(OUT_ARGS) $(ARGS)
 
 .PHONY: report
 report: $(STAMP) ## one page about RUNS="dir dir ..." (also folders of them, docs/results): intervals, curves, maps, failures, provenance [ONLY=strategies,robustness] [OUT=runs/report]

@@ -41,7 +41,8 @@ USER_ERRORS = (
     ValueError,
 )
 VIDEO_MODULES = ("imageio", "imageio_ffmpeg", "PIL")
-RESULTS_MODULES = ("matplotlib", "pandas", "rliable")
+RESULTS_MODULES = ("matplotlib", "pandas", "pyarrow", "rliable")
+CELLS = Path("tasks/cells.parquet")
 RunDir = Annotated[Path, typer.Argument(help="A run directory.")]
 Overrides = Annotated[list[str] | None, typer.Argument(help="key=value on top of its config.")]
 TaskName = Annotated[str | None, typer.Option("--task", help=f"Instead of RUN's: {FORMS}.")]
@@ -118,18 +119,31 @@ def table(
 
 @app.command("results")
 def results(
-    runs: Annotated[Path, typer.Argument(help="Folder of runs, ROW/seedN below it.")],
+    runs: Annotated[
+        list[Path], typer.Argument(help="Folder of runs, ROW/seedN below it; or several folders.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("docs/results"),
     policies: Annotated[bool, typer.Option(help="Export a policy per row.")] = True,
+    unclean: Annotated[
+        bool, typer.Option("--unclean", help="Also runs of a working tree with changes.")
+    ] = False,
 ) -> None:
-    """Publish evaluated runs: tables over seeds, curves, diagnostics and a policy per row."""
+    """Publish evaluated runs: a task's published tables, or else cells of the table over tasks."""
     require_extras(RESULTS_MODULES, "make results")
-    from pipeline.results.publish import publish  # noqa: PLC0415 - needs the extra `results`
+    from pipeline.results.publish import has_tables, publish  # noqa: PLC0415 - needs extra `results`
+    from pipeline.results.publish_cells import publish_cells, read_cells  # noqa: PLC0415 - as above
 
-    out.mkdir(parents=True, exist_ok=True)
-    for row in publish(runs, out, policies=policies):
-        typer.echo(f"{row.name}: {len(row.seeds)} seeds")
-    typer.echo(f"written to {out}")
+    if len(runs) == 1 and has_tables(runs[0]):
+        out.mkdir(parents=True, exist_ok=True)
+        for row in publish(runs[0], out, policies=policies):
+            typer.echo(f"{row.name}: {len(row.seeds)} seeds")
+        typer.echo(f"written to {out}")
+        return
+    cells = read_cells(runs, out, unclean=unclean)
+    total = len(publish_cells(cells, out))
+    for cell in cells:
+        typer.echo(", ".join(map(str, cell.keys)))
+    typer.echo(f"{len(cells)} of {total} cells written to {out / CELLS}")
 
 
 @app.command("plot")

@@ -217,6 +217,67 @@ def test_demonstrations_of_rows_come_through_make_unharmed(echoing: Path, tmp_pa
     assert evaluated[3:5] == ["eval", str(row.parent)]
 
 
+@pytest.mark.parametrize(
+    ("given", "folder"),
+    [
+        ((), "runs/rows"),
+        (("TASK=door",), "runs/rows"),
+        (("TASK=door", "REWARD=dense"), "runs/rows"),
+        (("TASK=door", "REWARD=sparse"), "runs/tasks/door_sparse"),
+        (("TASK=hammer",), "runs/tasks/hammer_dense"),
+        (("TASK=dm_control:walker/walk",), "runs/tasks/dm_control_walker_walk_dense"),
+        (("TASK=my dir/it's.py:N", "REWARD=sparse"), "runs/tasks/my_dir_it_s.py_N_sparse"),
+        (("TASK=pen", "ROW_RUNS=elsewhere"), "elsewhere"),
+    ],
+)
+def test_each_task_and_reward_has_a_folder_of_rows(given: tuple[str, ...], folder: str):
+    planned = run("make", "-n", "rows", "ROWS=bc", "SEEDS=0 1", *given)
+    assert planned.returncode == 0, planned.stderr
+    listed = re.findall(r"for file in (.*); do test", planned.stdout)
+    assert listed == [" ".join(f"{folder}/bc/seed{seed}/evaluation.json" for seed in (0, 1))]
+
+
+def test_any_cell_comes_through_make_unharmed(echoing: Path, tmp_path: Path):
+    def rows(*given: str) -> list[list[str]]:
+        venv, runs = f"VENV={echoing}", f"ROW_RUNS={tmp_path / 'rows'}"
+        done = run("make", "rows", venv, runs, "SEEDS=3", f"TASK={ODD}", *given)
+        told = [line for line in done.stdout.splitlines() if line.startswith("[")]
+        return [json.loads(line)[3:] for line in told]
+
+    path = f"{tmp_path / 'rows'}/bc_sac_10/seed3"
+    trained, judged = rows("ROWS=bc_sac_10", "REWARD=sparse", "EPISODES=7", "ARGS=loss.gamma=0.9")
+    assert trained == [
+        "variant=bc_sac", "loss.bc_weight.init=10", "preset=table", "seed=3", f"run_dir={path}",
+        "loss.gamma=0.9", "env.reward=sparse", f"task.name='{ODD}'", "torch_threads=1",
+        "env.num_threads=1", "logging.progress=false",
+    ]  # fmt: skip
+    assert judged == ["eval", path, "--task", ODD, "--episodes", "7", "env.num_threads=1"]
+    # A run that is there goes on with its own reward; whose code it is, is said again.
+    Path(path).mkdir(parents=True)
+    (Path(path) / "config.yaml").touch()
+    resumed, _ = rows("ROWS=bc_sac_10", "REWARD=sparse", f"DEMOS={ODD}")
+    assert resumed[0] == f"resume={path}"
+    assert not any(word.startswith(("env.reward", "demos.source", "variant")) for word in resumed)
+    assert f"task.name='{ODD}'" in resumed
+    assert not any(word.startswith("env.reward") for word in rows("ROWS=bc", "REWARD=dense")[0])
+
+
+def test_a_reward_that_is_none_is_refused_before_anything_is_installed(tmp_path: Path):
+    stopped = run("make", "rows", "REWARD=shaped", f"VENV={tmp_path / 'venv'}")
+    assert stopped.returncode == 2
+    assert "make rows takes REWARD=dense or REWARD=sparse, got shaped" in stopped.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_results_are_of_the_rows_or_of_the_folders_that_are_named(echoing: Path):
+    def published(*given: str) -> list[str]:
+        return json.loads(run("make", "results", f"VENV={echoing}", *given).stdout)[3:]
+
+    assert published() == ["results", "runs/rows"]
+    assert published("ROW_RUNS=runs/trial", f"OUT={ODD}") == ["results", "runs/trial", "--out", ODD]
+    assert published("RUNS=a b", "ARGS=--unclean") == ["results", "a", "b", "--unclean"]
+
+
 def test_demonstrations_of_an_odd_name_are_checked(tmp_path: Path):
     venv = environment(tmp_path / "venv", f'#!/bin/sh\nexec {sys.executable} "$@"\n')
     source = write_demos(tmp_path / f"{ODD}.h5")

@@ -1,9 +1,6 @@
 """The runs behind the notes of the lab, in one file: ``runs.parquet``, a line for each run.
 
-Columns are the figures of its evaluation, ``curve.NAME`` (a list, a value for each evaluation on
-the way) and, as JSON, what is nested. Parquet and not CSV, because whole numbers, fractions,
-absent values and lists come back as what they were, and a column is read without the others; any
-table reader opens it::
+Its columns: :mod:`pipeline.results.columnar`; any table reader opens it::
 
     python -m docs.lab.data                       # names of the rows, and their seeds
     python -m docs.lab.data export OUT ROW ...    # as OUT/ROW/seedN.json, for make report and plot
@@ -18,22 +15,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
+from pipeline.results import columnar
 from pipeline.results.rows import ResultRow, parse_published
 
 FILE: Final = Path(__file__).parent / "runs.parquet"
-CURVE: Final = "curve."
-NESTED: Final = "json."
-Content = Mapping[str, Any]
+KEYS: Final = ("row", "seed")
+Content = columnar.Content
 
 
 def load(path: Path = FILE) -> dict[str, dict[int, dict[str, Any]]]:
     """What was published of every run: ``{row: {seed: content of its seedN.json}}``."""
     rows: dict[str, dict[int, dict[str, Any]]] = {}
-    for line in pq.read_table(path).to_pylist():
-        rows.setdefault(line.pop("row"), {})[line.pop("seed")] = _content(line)
+    for (row, seed), content in columnar.load(KEYS, path).items():
+        rows.setdefault(row, {})[seed] = content
     return rows
 
 
@@ -50,14 +44,8 @@ def load_rows(path: Path = FILE) -> dict[str, ResultRow]:
 
 def save(rows: Mapping[str, Mapping[int, Content]], path: Path = FILE) -> None:
     """Writes the file anew."""
-    lines = [
-        {"row": row, "seed": seed} | _line(rows[row][seed])
-        for row in sorted(rows)
-        for seed in sorted(rows[row])
-    ]
-    names = dict.fromkeys(name for line in lines for name in line)
-    table = pa.Table.from_pylist([{name: line.get(name) for name in names} for line in lines])
-    pq.write_table(table, path, compression="zstd", compression_level=19)
+    runs = {(row, seed): content for row, seeds in rows.items() for seed, content in seeds.items()}
+    columnar.save(KEYS, runs, path)
 
 
 def read_folder(folder: Path) -> dict[str, dict[int, Content]]:
@@ -80,33 +68,6 @@ def export(names: Sequence[str], out: Path, path: Path = FILE) -> None:
         (out / name).mkdir(parents=True, exist_ok=True)
         for seed, content in rows[name].items():
             (out / name / f"seed{seed}.json").write_text(json.dumps(content) + "\n")
-
-
-def _line(content: Content) -> dict[str, Any]:
-    """Flat: lists of the curve are columns, what else is nested is JSON."""
-    line: dict[str, Any] = {"json.keys": json.dumps(list(content))}
-    for key, value in content.items():
-        if key == "curve":
-            line["json.curve"] = json.dumps(list(value))
-            line |= {f"{CURVE}{name}": values for name, values in value.items()}
-        elif isinstance(value, dict | list):
-            line[f"{NESTED}{key}"] = json.dumps(value)
-        else:
-            line[key] = value
-    return line
-
-
-def _content(line: Mapping[str, Any]) -> dict[str, Any]:
-    content: dict[str, Any] = {}
-    for key in json.loads(line["json.keys"]):
-        if key == "curve":
-            names = json.loads(line["json.curve"])
-            content[key] = {name: line[f"{CURVE}{name}"] for name in names}
-        elif (nested := line.get(f"{NESTED}{key}")) is not None:
-            content[key] = json.loads(nested)
-        else:
-            content[key] = line[key]
-    return content
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -10,7 +10,16 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from docs.site import commands, deviations, evaluation_figures, lab, settings, variants
+from docs.site import (
+    commands,
+    curves,
+    deviations,
+    evaluation_figures,
+    lab,
+    settings,
+    task_tables,
+    variants,
+)
 from docs.site.page import Page
 from docs.site.places import DOCS, ROOT
 from docs.site.tables import code, table
@@ -75,6 +84,12 @@ DIRECTIVES: Mapping[str, Callable[[Page], str]] = {
     "deviations": lambda page: deviations.render(page.path.parent),
     "departures": lambda page: variants.departures(page.about["variants"]),
     "results": lambda page: variants.results(page.about["variants"]),
+    "curve": curves.of_method,
+    "cells": lambda page: task_tables.rows_of(page.about["variants"]),
+    "tasks": lambda _page: task_tables.render(),
+    "tasks-together": lambda _page: task_tables.aggregate(),
+    "tasks-curves": curves.of_tasks,
+    "tasks-profiles": curves.profiles,
     "results-summary": _included(DOCS / "results" / "summary.md"),
     "results-tables": _included(DOCS / "results" / "tables.md"),
     "notes": lambda _page: lab.index(),

@@ -17,6 +17,7 @@ from docs.site.places import ROOT, relative
 
 LINK = re.compile(r"\[(?P<words>[^\[\]]*)\]\((?P<target>[^)\s]+)\)")
 OUTWARD = ("http://", "https://", "mailto:")
+PICTURES = (".png", ".svg")
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".toml": "toml", ".json": "json", ".md": "markdown"}
 LARGEST = 100_000
 """Bytes of a file that is shown as a page; of a larger one only the name is."""
@@ -73,7 +74,7 @@ class Linker:
         if path.is_dir() or not path.is_relative_to(ROOT):
             return None
         name = path.relative_to(ROOT).as_posix()
-        if path.suffix == ".png":
+        if path.suffix in PICTURES:
             return self.files.setdefault(path, PurePosixPath("files") / name)
         if path.stat().st_size > LARGEST or path.suffix in (".h5", ".parquet", ".safetensors"):
             return None

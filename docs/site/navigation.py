@@ -16,7 +16,7 @@ HEADINGS = {
     "Methods": ("methods/*.md",),
     "Reference": ("reference/*.md", "metrics.md", "versions.md"),
     "Explanation": ("explanation/*.md", "presets.md", "performance.md", "reliability.md"),
-    "Results": ("results/*.md", "results/manner/*.md"),
+    "Results": ("results/*.md", "results/tasks/*.md", "results/manner/*.md"),
 }
 FIRST = ("index.md", "README.md", "first-run.md")
 

@@ -50,6 +50,18 @@ All of them: [metrics](../metrics.md).
 
 <!-- generated: results -->
 
+### Over frames
+
+A thin line is a seed, the thick one their interquartile mean.
+
+<!-- generated: curve -->
+
+### Other tasks and rewards
+
+All cells, costs and what is missing: [the table over tasks](../results/tasks/README.md).
+
+<!-- generated: cells -->
+
 ## Departures from the paper
 
 <!-- generated: departures -->

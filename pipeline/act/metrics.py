@@ -61,6 +61,8 @@ class EpisodeMetrics:
         success_at_end: share of episodes that were successful at their last step.
         steps_to_success_median: median over the episodes that succeed of the first control step
             (from 1) of success; None also if there is none.
+        success_share: mean over episodes of the share of control steps after which the task was
+            accomplished, of the longest episode's steps: the horizon, unless all end before it.
         stages: share of episodes that ever reached each stage of the task, by label.
         progress_max_mean: mean over episodes of the largest progress; None if the task has none.
     """
@@ -74,6 +76,7 @@ class EpisodeMetrics:
     success_at_end: float | None = None
     success_at_end_ci95: tuple[float, float] | None = None
     steps_to_success_median: float | None = None
+    success_share: float | None = None
     stages: Mapping[str, float] = field(default_factory=dict)
     progress_max_mean: float | None = None
 
@@ -105,6 +108,9 @@ def summarise(rollouts: Rollouts) -> EpisodeMetrics:
             "success_at_end": float(last.mean()),
             "success_at_end_ci95": wilson(last),
             "steps_to_success_median": float(np.median(first[once])) if once.any() else None,
+            "success_share": float(
+                rollouts.success.sum(axis=1).mean() / int(rollouts.lengths.max())
+            ),
         }
     if rollouts.progress is not None:
         found["progress_max_mean"] = float(np.nanmax(rollouts.progress, axis=1).mean())

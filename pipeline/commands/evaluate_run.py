@@ -104,6 +104,7 @@ def made_from(
         "run": str(run_dir),
         "checkpoint": origin.name,
         "task": recipe.task.name,
+        "reward": recipe.env.reward,
         "variant": recipe.variant,
         "preset": recipe.preset,
         "precision": recipe.precision,

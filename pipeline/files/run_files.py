@@ -52,14 +52,14 @@ def versions() -> dict[str, Any]:
     }
 
 
-def write_atomically(path: Path, text: str) -> None:
+def write_atomically(path: Path, text: str | bytes) -> None:
     """Writes ``text`` so that a reader sees the old file or the new one, never a part.
 
-    So does one after a power cut.
+    So does one after a power cut. Bytes are written as they are.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        temporary.write_text(text)
+        temporary.write_bytes(text.encode() if isinstance(text, str) else text)
         flush(temporary)
         temporary.replace(path)
     finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -10,9 +11,10 @@ from functools import wraps
 from pathlib import Path
 from typing import Any
 
-from pipeline.files.run_files import as_json, write_atomically
+from pipeline.files.run_files import RunDirectoryError, as_json, write_atomically
 
 TIME_USE = "time_use.json"
+WALL_S = "wall_s"
 OTHER = "other"
 
 
@@ -62,8 +64,23 @@ class TimeUse:
     def write(self, run_dir: Path) -> None:
         """Writes ``time_use.json``: the parts in seconds, longest first, and their sum."""
         parts = dict(sorted(self.seconds.items(), key=lambda part: -part[1]))
-        report = {"wall_s": sum(parts.values()), "parts_s": parts}
+        report = {WALL_S: sum(parts.values()), "parts_s": parts}
         write_atomically(run_dir / TIME_USE, as_json(report, indent=2) + "\n")
+
+    @staticmethod
+    def read_wall_s(run_dir: Path) -> float | None:
+        """Seconds in all that :meth:`write` wrote; None where there is no such file.
+
+        Raises:
+            RunDirectoryError: If it is damaged.
+        """
+        path = run_dir / TIME_USE
+        if not path.is_file():
+            return None
+        try:
+            return float(json.loads(path.read_text())[WALL_S])
+        except (ValueError, KeyError, TypeError) as error:
+            raise RunDirectoryError(f"{path} is damaged ({error}); restore or remove it") from error
 
     def state_dict(self) -> dict[str, float]:
         """Seconds so far: those of a resumed run go on."""

@@ -17,7 +17,7 @@ from pipeline.report.page import Section, Table
 from pipeline.report.plane import Spread, plane
 from pipeline.report.rows import ReportRow, different, recipe
 from pipeline.report.sources import ReportRun
-from pipeline.results.run_tables import RETURN, cell
+from pipeline.results.run_tables import FORMER, RETURN, cell
 
 HEADLINE = (
     Column("success_once", "success", percent=True),
@@ -26,8 +26,6 @@ HEADLINE = (
     Column("steps_to_success_median", "steps to success, median"),
 )
 """Of every task."""
-RENAMED = {"steps_to_success_median": "steps_to_open_median"}
-"""What evaluations of the door called a figure before every task had it."""
 HASH_DIGITS = 10
 
 
@@ -63,8 +61,8 @@ def _beside(
 
 def _estimate(row: ReportRow, column: Column) -> str | None:
     found = estimate(row, column)
-    if found is None and column.key in RENAMED:
-        return estimate(row, replace(column, key=RENAMED[column.key]))
+    if found is None and column.key in FORMER:
+        return estimate(row, replace(column, key=FORMER[column.key]))
     return found
 
 

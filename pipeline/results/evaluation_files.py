@@ -75,10 +75,10 @@ def episode_columns(task: Task, rollouts: Rollouts, seed: int) -> dict[str, list
 
     Returns:
         ``episode``; ``start.*`` where the task numbers its starts; ``return``; ``steps``;
-        ``success_once``, ``success_at_end`` and ``steps_to_success`` (the first control step of
-        success, from 1; None without one) where it tells success; ``progress_max`` and
-        ``progress_at_end`` where it tells progress; ``stage``, the last of its stages that the
-        episode ever reached, where it has some.
+        ``success_once``, ``success_at_end``, ``steps_to_success`` (the first control step of
+        success, from 1; None without one) and ``steps_in_success`` where it tells success;
+        ``progress_max`` and ``progress_at_end`` where it tells progress; ``stage``, the last of its
+        stages that the episode ever reached, where it has some.
     """
     count = len(rollouts.returns)
     found: dict[str, list[Any]] = {"episode": list(range(count))}
@@ -96,6 +96,7 @@ def episode_columns(task: Task, rollouts: Rollouts, seed: int) -> dict[str, list
         found["steps_to_success"] = [
             step if happened else None for step, happened in zip(first, once.tolist(), strict=True)
         ]
+        found["steps_in_success"] = rollouts.success.sum(axis=1).tolist()
     if rollouts.progress is not None:
         found["progress_max"] = np.nanmax(rollouts.progress, axis=1).tolist()
         found["progress_at_end"] = _at(rollouts.progress, last).tolist()

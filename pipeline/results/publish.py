@@ -7,23 +7,29 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.files.run_files import as_json, write_atomically
+from pipeline.files.run_files import EVALUATION, as_json, write_atomically
+from pipeline.results.cells import OWN
 from pipeline.results.export import export_policy, exported_seed
 from pipeline.results.plots import AXES, plot_curves, plot_diagnostics
-from pipeline.results.rows import ROWS, ResultRow, load_published, load_rows, merge_rows
+from pipeline.results.rows import (
+    ORDER,
+    ROWS,
+    SEED,
+    ResultRow,
+    load_published,
+    load_rows,
+    merge_rows,
+)
+from pipeline.results.run_cells import reward_of, task_of_ours
 from pipeline.results.run_tables import reference_of
 from pipeline.results.tables import render_rows, render_summary
+from pipeline.run_dir import saved_recipe
 
 TABLE = "table.json"
 TABLES = "tables.md"
 SUMMARY = "summary.md"
 """The short table that the README shows."""
 POLICIES = "policies"
-ORDER = (
-    "sac", "bc", "bc_sac_0.1", "bc_sac_1", "bc_sac_10", "dbc_sac", "sid_bc", "sid_dbc",
-    "ila_bc", "ila_dbc", "da_sac", "best",
-)  # fmt: skip
-"""Of the paper's tables, then our own."""
 
 
 def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
@@ -66,6 +72,22 @@ def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
     write_atomically(out / TABLES, render_rows(rows, reference) + "\n")
     write_atomically(out / SUMMARY, render_summary(rows, reference) + "\n")
     return rows
+
+
+def has_tables(runs: Path) -> bool:
+    """Whether a folder holds ``ROW/seedN`` of a task with published tables, by its own reward.
+
+    Of others there is a table over tasks (:mod:`pipeline.results.publish_cells`).
+    """
+    evaluated = [path.parent for path in runs.glob(f"*/{SEED}*/{EVALUATION}")]
+    if not evaluated:
+        return False
+    recipes = [saved_recipe(run) for run in evaluated]
+    kinds = {(recipe.task.name, reward_of(recipe)) for recipe in recipes}
+    task = task_of_ours(recipes[0])
+    if len(kinds) > 1 or task is None or task.reference is None:
+        return False
+    return reward_of(recipes[0]) in (OWN, *task.rewards[:1])
 
 
 def _export(row: ResultRow, folder: Path) -> None:

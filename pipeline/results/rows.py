@@ -26,6 +26,11 @@ RECIPE = (
     "noise_scale",
 )
 """What the seeds of one row have in common."""
+ORDER = (
+    "sac", "bc", "bc_sac_0.1", "bc_sac_1", "bc_sac_10", "dbc_sac", "sid_bc", "sid_dbc",
+    "ila_bc", "ila_dbc", "da_sac", "best",
+)  # fmt: skip
+"""Of the paper's tables, then our own."""
 BEFORE_IT_WAS_NAMED = {"noise_scale": 1.0}
 """What held for evaluations that are older than a key of ``RECIPE``."""
 DIGITS = 6

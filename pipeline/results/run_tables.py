@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,8 @@ from envs.intervals import wilson
 from envs.reference import Column, Reference
 
 RETURN = "return_mean"
+FORMER = {"steps_to_success_median": "steps_to_open_median"}
+"""What evaluations of the door called a figure before every task had it."""
 NORMAL_95 = 1.959964
 """Deviations of a normal distribution within which 95 % lie."""
 
@@ -22,10 +24,17 @@ def reference_row(
     reference: Reference, variant: str, bc_weight: float | None
 ) -> Mapping[str, float] | None:
     """The published row of a run, or None (own variants, other weights)."""
-    weighted = f"{variant}_{bc_weight:g}" if bc_weight is not None else variant
-    # Published with several weights: only the row of this one stands beside it.
-    several = any(_has_weight(name, variant) for name in reference.rows)
-    return reference.rows.get(weighted if several else variant)
+    return reference.rows.get(row_name(variant, bc_weight, reference.rows))
+
+
+def row_name(variant: str, bc_weight: float | None, names: Iterable[str]) -> str:
+    """What a run's row is called among ``names``.
+
+    Its variant; with its weight behind it where there are rows of several weights, of which only
+    that of this one is its.
+    """
+    several = any(_has_weight(name, variant) for name in names)
+    return f"{variant}_{bc_weight:g}" if several and bc_weight is not None else variant
 
 
 def render(evaluations: Sequence[Mapping[str, Any]], reference: Reference) -> str:

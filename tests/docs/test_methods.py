@@ -31,7 +31,7 @@ HEADINGS = [
     "Objective", "Configuration", "In the code", "Metrics to watch", "Results",
     "Departures from the paper",
 ]  # fmt: skip
-MARKS = {"variant-yaml", "results", "departures"}
+MARKS = {"variant-yaml", "results", "curve", "cells", "departures"}
 
 
 def named(path: Path) -> str:

@@ -25,7 +25,7 @@ from pipeline.results.curves import on_grid
 from pipeline.results.export import export_policy, exported_seed
 from pipeline.results.publish import publish
 from pipeline.results.rows import ResultRow, Seed, load_published, load_rows, merge_rows
-from pipeline.results.statistics import interquartile_means
+from pipeline.results.statistics import interquartile_means, over_tasks
 from pipeline.results.tables import render_summary
 from pipeline.run_dir import load_recipe
 from tests.pipeline.toys import tiny_config
@@ -40,6 +40,15 @@ def test_the_interquartile_mean_leaves_out_the_best_and_the_worst_of_five():
     assert found["a"].iqm.tolist() == [2.0, 5.0]
     assert 0.0 <= found["a"].low[0] < 2.0 < found["a"].high[0] <= 99.0
     assert found["a"].low[1] == found["a"].high[1] == 5.0
+
+
+def test_over_tasks_the_middle_half_of_all_runs_counts():
+    """Of 0, 0.1, ..., 0.7 two are cut off at either end: (0.2 + 0.3 + 0.4 + 0.5) / 4."""
+    found = over_tasks({"a": [[0.0, 0.7, 0.2, 0.5], [0.1, 0.6, 0.3, 0.4]]})["a"]
+    assert found.iqm.tolist() == pytest.approx([0.35])
+    assert 0.0 <= found.low[0] <= 0.35 <= found.high[0] <= 0.7
+    with pytest.raises(ValueError, match=r"a: expected finite values .seeds, tasks."):
+        over_tasks({"a": [1.0]})
 
 
 def test_intervals_are_the_same_every_time():

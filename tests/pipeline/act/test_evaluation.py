@@ -294,6 +294,8 @@ def test_figures_of_every_task_by_hand():
     figures = summarise(Rollouts(np.array([1.0, 2.0, 6.0]), np.array([3, 2, 1]), success, progress))
     assert (figures.success_once, figures.success_at_end) == (2 / 3, 1 / 3)
     assert figures.steps_to_success_median == 2.0
+    # One step of success in each of two episodes, of three that could last three steps.
+    assert figures.success_share == pytest.approx(2 / 9)
     assert (figures.return_mean, figures.length_mean, figures.progress_max_mean) == (3.0, 2.0, 3.0)
     # Wilson's interval of 2 in 3 (z = 1.96): (2 + 1.92 -+ 1.96 sqrt(2/3 + 0.96)) / (3 + 3.84).
     assert figures.success_once_ci95 == pytest.approx((0.2077, 0.9385), abs=1e-3)

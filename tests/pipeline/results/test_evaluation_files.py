@@ -54,6 +54,7 @@ def test_each_episode_has_its_own_figures():
     assert found["success_once"] == [1, 1, 0]
     assert found["success_at_end"] == [0, 1, 0]
     assert found["steps_to_success"] == [2, 3, None]
+    assert found["steps_in_success"] == [1, 1, 0]
     assert found["progress_max"] == pytest.approx([0.9, 0.7, 0.0])
     assert found["progress_at_end"] == pytest.approx([0.5, 0.7, 0.0])
     # The furthest of the task's stages, also where an earlier one was left out.
@@ -65,6 +66,7 @@ def test_rows_and_summary_say_the_same():
     assert np.mean(found["return"]) == summary.return_mean
     assert np.mean(found["success_once"]) == summary.success_once
     assert np.mean(found["success_at_end"]) == summary.success_at_end
+    assert np.mean(found["steps_in_success"]) / 3 == pytest.approx(summary.success_share)
     assert np.median([s for s in found["steps_to_success"] if s]) == summary.steps_to_success_median
 
 

@@ -1,0 +1,174 @@
+"""What is published of every task: the cells of the table over tasks, and the door's own rows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from functools import cache
+from statistics import fmean
+
+from scipy.stats import trim_mean
+
+from docs.site.places import DOCS
+from envs import find_task
+from envs.reference import Column
+from envs.registry import OURS
+from pipeline.files.curves import WALL_S
+from pipeline.results.cells import (
+    CONDITIONS,
+    FILE,
+    FOLDER,
+    OWN,
+    Cell,
+    Place,
+    as_row,
+    by_place,
+    load_cells,
+)
+from pipeline.results.rows import ORDER, ResultRow, Seed, load_published
+from pipeline.results.run_tables import FORMER, cell, over_episodes, task_of, with_interval
+from pipeline.results.statistics import interquartile_means
+
+RESULTS = DOCS / "results"
+SEVERAL = 3
+"""Seeds from which on an interval is of the seeds."""
+REFERENCE = "reference.json"
+DAPG = "DAPG's policy"
+QUARTER = 0.25
+"""Cut off at either end by an interquartile mean."""
+
+
+@cache
+def listed() -> dict[Place, list[Cell]]:
+    """The cells of ``cells.parquet``, by task, reward and row."""
+    return by_place(load_cells(RESULTS / FOLDER / FILE))
+
+
+@cache
+def published() -> dict[Place, list[Cell]]:
+    """Every published cell; where a row of the door's tables is listed too, that one counts."""
+    of_tables = [_cell(row, seed) for row in load_published(RESULTS) for seed in row.seeds]
+    return by_place(of_tables) | listed()
+
+
+@cache
+def reference() -> dict[tuple[str, str], ResultRow]:
+    """DAPG's own policies in our tasks, by task and reward (``python -m docs.lab.reference``)."""
+    path = RESULTS / FOLDER / REFERENCE
+    measured = json.loads(path.read_text())["tasks"] if path.is_file() else {}
+    return {
+        (task, reward): ResultRow(DAPG, (Seed(figures, (), ()),))
+        for task, of_task in measured.items()
+        for reward, figures in of_task.items()
+    }
+
+
+def rewards(task: str) -> tuple[str, ...]:
+    """The rewards that have a column: those a task offers, else those that runs were paid."""
+    if task in OURS:
+        return find_task(task).rewards
+    return tuple(sorted({reward for name, reward, _ in published() if name == task}))
+
+
+def tasks() -> list[str]:
+    """Ours in their order, then those of others."""
+    others = {task for task, _, _ in published() if task not in OURS}
+    return [*OURS, *sorted(others)]
+
+
+def rows(task: str) -> list[str]:
+    """Rows of a task's table: its own; of ours also those that another of ours has a cell of."""
+    found = {row for name, _, row in published() if name == task}
+    if task in OURS:
+        found |= {row for name, _, row in listed() if name in OURS}
+    return in_order(found)
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """Names of rows as the tables have them."""
+    known = {name: place for place, name in enumerate(ORDER)}
+    return sorted(names, key=lambda name: (known.get(name, len(known)), name))
+
+
+def result(task: str, reward: str, row: str) -> ResultRow | None:
+    """The seeds of a cell; None where it is missing."""
+    found = published().get((task, reward, row))
+    return None if found is None else as_row(found)
+
+
+def condition(task: str, reward: str, row: str, name: str) -> float | None:
+    """Mean over the seeds of a cell of one of its conditions; None if it is not told of all."""
+    told = [found.conditions.get(name) for found in published().get((task, reward, row), [])]
+    known = [float(value) for value in told if value is not None]
+    return fmean(known) if known and len(known) == len(told) else None
+
+
+def figures(row: ResultRow | None, columns: Sequence[Column]) -> list[str]:
+    """Numbers of a cell with their 95 % intervals, as tables show them; dashes where it is missing.
+
+    One seed: over its episodes (Wilson's of a share). Two: their mean alone. More: interquartile
+    mean and stratified bootstrap over seeds.
+    """
+    return [_figure(row, column) for column in columns]
+
+
+def known_values(row: ResultRow, key: str) -> tuple[float, ...]:
+    """A figure of every seed; nothing if one of them does not tell it."""
+    values = [value_of(seed, key) for seed in row.seeds]
+    known = [value for value in values if value is not None]
+    return tuple(known) if len(known) == len(values) else ()
+
+
+def middle(row: ResultRow | None, column: Column) -> str:
+    """As :func:`figures`, without the interval."""
+    values = () if row is None else known_values(row, column.key)
+    if not values:
+        return "-"
+    return cell(column, fmean(values) if len(values) < SEVERAL else trim_mean(values, QUARTER))
+
+
+def _figure(row: ResultRow | None, column: Column) -> str:
+    values = () if row is None else known_values(row, column.key)
+    if row is None or not values:
+        return "-"
+    if len(values) >= SEVERAL:
+        mean, low, high = _estimate(values)
+        return with_interval(column, mean, (low, high))
+    told = {**row.seeds[0].evaluation, column.key: values[0]}
+    interval = over_episodes(told, column) if len(values) == 1 else None
+    return with_interval(column, fmean(values), interval)
+
+
+@cache
+def _estimate(values: tuple[float, ...]) -> tuple[float, float, float]:
+    """Of one figure of several seeds; a bootstrap takes half a second."""
+    found = interquartile_means({"row": [[value] for value in values]})["row"]
+    return float(found.iqm[0]), float(found.low[0]), float(found.high[0])
+
+
+def value_of(seed: Seed, key: str) -> float | None:
+    """A figure of an evaluation, also of one that called it otherwise."""
+    found = seed.evaluation.get(key, seed.evaluation.get(FORMER.get(key, key)))
+    return None if found is None else float(found)
+
+
+def _cell(row: ResultRow, seed: Seed) -> Cell:
+    """A published row's seed, which knows no threads and may be older than the count of steps."""
+    made_from = seed.evaluation["made_from"]
+    task = task_of(made_from)
+    walls = [float(point[WALL_S]) for point in seed.curve if point.get(WALL_S) is not None]
+    told = {
+        "preset": made_from["preset"],
+        "frames": made_from["frames"],
+        "simulator_steps": made_from.get("simulator_steps"),
+        "wall_s": max(walls, default=None),
+        "demonstrations_multiplied": made_from["demos_multiplied"],
+        "git": made_from["versions"]["git"],
+    }
+    reward = (find_task(task).rewards or (OWN,))[0]
+    return Cell(task, reward, row.name, dict.fromkeys(CONDITIONS) | told, seed)
+
+
+def variant(row: ResultRow) -> str:
+    """The variant of which a row of results is."""
+    return str(row.seeds[0].evaluation["made_from"]["variant"])
