@@ -219,7 +219,7 @@ audit: $(AUDIT)/bin/pip-audit ## compare the pinned versions of constraints.txt 
 	$(AUDIT)/bin/pip-audit --no-deps --disable-pip --progress-spinner off -r constraints.txt $(ARGS) > "$$told" 2>&1; failed=$$?; \
 	all=$$(grep -c == constraints.txt); missed=$$(grep -c 'could not be audited' "$$told"); \
 	test "$$missed" -ge "$$all" || cat "$$told"; \
-	test "$$missed" -eq 0 || { echo "make audit: $$missed of $$all packages were not compared: the index at https://pypi.org/pypi/NAME/json tells nothing of them. Audit where it answers." >&2; exit 2; }; \
+	test "$$missed" -eq 0 || { echo "make audit: $$missed of $$all packages were not compared: the package index here tells nothing of their vulnerabilities. Audit where it does." >&2; exit 2; }; \
 	exit $$failed
 
 $(AUDIT)/bin/pip-audit:

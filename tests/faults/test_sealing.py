@@ -296,7 +296,8 @@ def test_two_are_never_under_way_and_the_newest_are_kept_at_every_moment(
 
     def seal(stage: Path, destination: Path) -> None:
         events.append(("seal", named(run_dir)))
-        time.sleep(0.05)
+        if destination in (checkpoint(run_dir, 20), checkpoint(run_dir, 60)):
+            time.sleep(1.0)  # a portion takes less
         usual(stage, destination)
         events.append(("sealed", named(run_dir)))
 
@@ -317,6 +318,28 @@ def test_two_are_never_under_way_and_the_newest_are_kept_at_every_moment(
         for event in (("room", before), ("seal", before), ("sealed", after))
     ]
     assert named(run_dir) == steps[-2:]
+
+
+def test_what_lies_behind_a_link_is_not_cleared_away(tmp_path: Path):
+    (elsewhere := tmp_path / "elsewhere" / ".checkpoint-000000000020.1234").mkdir(parents=True)
+    (tmp_path / "checkpoints").symlink_to(elsewhere.parent)
+    rotation.make_rotation(tmp_path, keep=2)
+    assert elsewhere.is_dir()
+
+
+def test_nothing_is_written_while_the_one_before_is_sealed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Whoever saves: two copies of all buffers would lie on the disk beside those that are kept."""
+    monkeypatch.setattr(rotation, "seal", at(1, lambda: time.sleep(0.2)))
+    saves, found = rotation.SealedRotation(tmp_path / "checkpoints", keep_last=2), []
+    state = torch.nn.Linear(1, 1)
+    written = state.state_dict
+    monkeypatch.setattr(state, "state_dict", lambda: (found.append(named(tmp_path)), written())[1])
+    for step in (1, 2):
+        saves.save(rotation.SummedCheckpoint(state=state), step=step)
+    saves.sealing.settle()
+    assert found == [[], [1]]
 
 
 def test_what_failed_is_raised_once_and_by_whoever_comes_next():
