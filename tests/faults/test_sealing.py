@@ -26,7 +26,7 @@ from pipeline.machine.interruption import Interrupted
 from pipeline.non_finite import NonFiniteError
 from pipeline.train import run_command_line
 from pipeline.trainer import Run
-from tests.faults.killing import in_a_child
+from tests.faults.killing import compared, in_a_child
 from tests.pipeline.machine.test_interruption import stop_after
 from tests.pipeline.resuming import curve_of, differences
 from tests.pipeline.test_resuming import FILE, recipe_of, resumed
@@ -161,6 +161,27 @@ def test_a_run_that_is_killed_while_it_seals_goes_on_from_the_old_one_or_the_new
     assert differences(whole(again), expected) == []
     assert curve_of(tmp_path / "run") == curve
     assert named(tmp_path / "run")[-2:] == [80, 120]
+
+
+def test_rows_that_a_checkpoint_covers_are_there_when_it_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Loggers write late, and a run that goes on from it does not write them again."""
+    recipe = recipe_of(*EACH, "logging.loggers=[csv,tensorboard]")
+    build_run(recipe, tmp_path / "whole").train()
+    with monkeypatch.context() as patch:
+        usual = rotation.seal
+
+        def seal(stage: Path, destination: Path) -> None:
+            usual(stage, destination)
+            if destination.name.endswith("80"):
+                os.kill(os.getpid(), signal.SIGKILL)
+
+        patch.setattr(rotation, "seal", seal)
+        assert in_a_child(lambda: build_run(recipe, tmp_path / "run").train()).code is None
+    assert max(named(tmp_path / "run")) == 80
+    resumed(tmp_path / "run").train()
+    assert compared(tmp_path / "run", tmp_path / "whole", f"task.name='{FILE}'") == []
 
 
 @pytest.mark.parametrize("frames", [80, 120], ids=["on_the_way", "the_last"])
