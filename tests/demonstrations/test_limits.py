@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
 import subprocess
 import sys
+import threading
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +18,8 @@ import pytest
 
 from envs.demonstrations import DemonstrationError, hdf5_probe, limits, open_source
 from envs.demonstrations.children import run_child
+from envs.demonstrations.files import read_json_file, read_npz, require_readable
+from envs.demonstrations.readers import hdf5_layout
 from tests.demonstrations.files_of_others import (
     SCHEMA,
     toy_episode,
@@ -213,3 +217,91 @@ def test_it_reads_small_arrays_whole_and_the_ends_of_large_ones(
             hdf5_probe.touch(file[name])
     ends = [("/observations", slice(None, 1)), ("/observations", slice(-1, None))]
     assert read == [("/actions", ()), *ends]
+
+
+# ---- what is opened --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda path: read_npz(path, str(path)),
+        lambda path: read_json_file(path, "description"),
+        lambda path: require_readable(path, hdf5_probe.__file__),
+    ],
+    ids=["npz", "json", "hdf5"],
+)
+def test_nothing_is_read_out_of_a_pipe(
+    read: Callable[[Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    os.mkfifo(tmp_path / "pipe")
+    monkeypatch.setattr(limits, "CHILD_SECONDS", 20.0)
+    # Without the look at it, reading would wait for ever: somebody writes into it and ends that.
+    done = threading.Event()
+    writer = threading.Thread(target=end_of_pipe, args=(tmp_path / "pipe", done))
+    writer.start()
+    try:
+        with pytest.raises(DemonstrationError, match="is not a plain file"):
+            read(tmp_path / "pipe")
+    finally:
+        done.set()
+        writer.join()
+
+
+def end_of_pipe(path: Path, done: threading.Event) -> None:
+    while not done.wait(0.2):
+        with contextlib.suppress(OSError):  # nobody reads
+            os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK))
+
+
+def test_a_file_that_kills_its_reader_is_not_looked_into(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    path = write_flat(tmp_path / "d.h5", [toy_episode(0)])
+    assert hdf5_layout.peek(path, lambda file: "actions" in file)
+    (script := tmp_path / "probe.py").write_text("import os; os.kill(os.getpid(), 11)")
+    monkeypatch.setattr(hdf5_probe, "__file__", str(script))
+    assert not hdf5_layout.peek(path, lambda file: pytest.fail("opened"))
+
+
+def test_names_behind_a_link_are_not_asked_for(tmp_path: Path):
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["data/demo_0/actions"] = np.zeros(3)
+    with h5py.File(tmp_path / "d.h5", "w") as file:
+        file["data"] = h5py.ExternalLink("other.h5", "/data")
+        file["own/demo_0/actions"] = np.zeros(3)
+        assert list(file["data"]) == ["demo_0"]
+        assert hdf5_layout.group_names(file, "data") == []
+        assert hdf5_layout.group_names(file, "own") == ["demo_0"]
+        assert hdf5_layout.group_names(file, "none") == []
+
+
+def bomb(folder: Path) -> None:
+    with h5py.File(folder / "main_data.hdf5", "w") as file:
+        file.create_dataset("episode_0/actions", (10_000_000, 3), "f8", chunks=(1000, 3))
+
+
+def pipe(folder: Path) -> None:
+    (folder / "main_data.hdf5").write_bytes(b"")
+    os.mkfifo(folder / "a_picture.png")
+
+
+def torn(folder: Path) -> None:
+    (folder / "metadata.json").write_text('{"total_episodes": ')
+
+
+@pytest.mark.parametrize(
+    ("harm", "problem"),
+    [
+        (bomb, "episode_0/actions: declares 240,000,000 bytes and holds 0"),
+        (pipe, "a_picture.png: is not a plain file"),
+        (torn, "metadata.json: has a damaged description"),
+    ],
+)
+def test_a_minari_dataset_is_looked_at_before_minari_opens_it(
+    harm: Callable[[Path], None], problem: str, tmp_path: Path
+):
+    pytest.importorskip("minari")
+    (tmp_path / "d" / "data").mkdir(parents=True)
+    harm(tmp_path / "d" / "data")
+    assert problem in refusal(tmp_path / "d")
