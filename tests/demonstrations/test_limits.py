@@ -102,6 +102,7 @@ def test_an_npz_file_of_too_many_arrays(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_a_description_that_is_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("pyarrow")
     write_lerobot(tmp_path / "d", [[toy_episode(0)]])
     size = (tmp_path / "d" / "meta" / "info.json").stat().st_size
     monkeypatch.setattr(limits, "MAX_JSON_BYTES", size - 1)
@@ -288,6 +289,15 @@ def pipe(folder: Path) -> None:
 
 def torn(folder: Path) -> None:
     (folder / "metadata.json").write_text('{"total_episodes": ')
+
+
+def test_a_parquet_file_that_declares_more_than_it_can_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    path = parquet(tmp_path / "d")
+    monkeypatch.setattr(limits, "FREE_BYTES", 0)
+    monkeypatch.setattr(limits, "MAX_EXPANSION", 0)
+    assert f"{path}: declares " in refusal(tmp_path / "d")
 
 
 @pytest.mark.parametrize(

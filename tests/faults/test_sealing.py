@@ -19,6 +19,7 @@ import torch
 
 from pipeline.build import build_run
 from pipeline.files import rotation
+from pipeline.files.run_files import RunDirectoryError
 from pipeline.files.run_format import verify_checkpoint
 from pipeline.files.run_lock import LOCK
 from pipeline.files.sealing import Sealing
@@ -238,6 +239,15 @@ def held(run: Run) -> bool:
         except BlockingIOError:
             return True
     return False
+
+
+def test_a_new_run_is_locked_and_a_resume_that_is_refused_locks_nothing(tmp_path: Path):
+    run = build_run(recipe_of(*EACH), tmp_path / "run")
+    assert held(run)
+    run.train()
+    with pytest.raises(RunDirectoryError, match="cannot change"):
+        resumed(tmp_path / "run", "loss.gamma=0.5")
+    assert not held(run)
 
 
 def late(run: Run, seen: list[bool]) -> Callable[[], None]:
