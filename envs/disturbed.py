@@ -138,7 +138,7 @@ class DisturbedEnv(EnvBase):
 
     def _number_episodes(self, seed: int | None) -> None:
         if seed is None:
-            seed = int(np.random.SeedSequence().generate_state(1, np.uint64)[0] >> 1)
+            seed = int(np.random.SeedSequence().generate_state(1, np.uint64)[0]) >> 1
         self._seed = seed
         self._begun = np.zeros(self._count, dtype=np.int64)
         self._elapsed = np.zeros(self._count, dtype=np.int64)

@@ -17,9 +17,10 @@ from torchrl.trainers import Trainer
 
 from envs import Task
 from pipeline import components
-from pipeline.files.checkpoint import make_rotation
 from pipeline.files.curves import WALL_S
+from pipeline.files.rotation import make_rotation
 from pipeline.files.run_files import LEARNING_CURVE
+from pipeline.files.sealing import Sealing
 from pipeline.files.time_use import OTHER, TimeUse
 from pipeline.hooks import EvaluationHook, PortionGuard, UpdatesHook
 from pipeline.machine.disk import with_room
@@ -27,6 +28,9 @@ from pipeline.machine.interruption import StopRequest
 from pipeline.non_finite import NonFiniteError
 from pipeline.recipe import Recipe
 from pipeline.watch.loggers import make_loggers
+
+CHECKPOINT = "checkpoint"
+"""Part of the time: writing checkpoints, and waiting for them."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +51,16 @@ class Run:
     begin: Callable[[], object] | None = None
     """What a new run does before its first frame; one that is resumed has done it."""
 
+    @property
+    def sealing(self) -> Sealing:
+        """Of the checkpoint that was written last."""
+        return self.trainer.checkpoint_rotation.sealing
+
     def train(self) -> None:
         """Trains to the end; the newest checkpoint and the learning curve are in ``run_dir``.
 
         Raises:
+            OSError: If a file cannot be written; a checkpoint that was named before stays.
             Interrupted: If it was asked to stop (``stop``) before its end; it can go on from there.
             NonFiniteError: If numbers are not finite; what they were found in is in ``run_dir``.
         """
@@ -64,9 +74,11 @@ class Run:
                 if owed:
                     self.trainer.save_trainer(force_save=True)
                 self.evaluation.finish()
+                self.sealing.settle()
         except NonFiniteError as error:
             raise error.kept(self.run_dir) from error
         finally:
+            self.sealing.end()  # before another process may come
             if self.lock is not None:
                 self.lock.release()
 
@@ -76,6 +88,8 @@ class Run:
                 if self.begin is not None and self.trainer.collected_frames == 0:
                     self.begin()
                 self.trainer.train()
+                with self.time_use.part(CHECKPOINT):
+                    self.sealing.settle()
         finally:
             self.time_use.write(self.run_dir)
         self.stop.leave()
@@ -90,6 +104,7 @@ def make_trainer(
     **parts: object,
 ) -> Trainer:
     """TorchRL's trainer with this project's checkpointing, logging and progress bar."""
+    rotation = make_rotation(run_dir, recipe.logging.checkpoints)
     trainer = Trainer(
         frame_skip=1,
         logger=make_loggers(list(recipe.logging.loggers), run_dir, recipe.logging.project),
@@ -97,7 +112,7 @@ def make_trainer(
         log_interval=recipe.logging.interval,
         save_trainer_interval=recipe.logging.checkpoint_interval,
         checkpoint=checkpoint,
-        checkpoint_rotation=make_rotation(run_dir, recipe.logging.checkpoints),
+        checkpoint_rotation=rotation,
         **parts,
     )
     # TorchRL keeps every value it was given. Between them the freed activations of large networks
@@ -108,9 +123,10 @@ def make_trainer(
     # Before an evaluation and a checkpoint; collecting waits for the updates in any case.
     trainer.register_op("post_steps", trainer.optimization_stepper.settle)
     trainer.register_op("post_steps", lambda: trainer.request_stop() if stop.made else None)
-    with_room(trainer, run_dir)
+    trainer.register_op("post_steps", rotation.sealing.check)
+    with_room(trainer, run_dir, rotation.sealing)
     time_use.watch(trainer.optimization_stepper, "step", "update")
-    time_use.watch(trainer, "save_trainer", "checkpoint")
+    time_use.watch(trainer, "save_trainer", CHECKPOINT)
     if trainer.logger is not None:
         time_use.watch(trainer.logger, "log_scalar", "log")
     return trainer

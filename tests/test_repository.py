@@ -209,6 +209,32 @@ def test_paths_come_through_make_unharmed(
     assert json.loads(done.stdout) == ["-u", "-m", module, *arguments]
 
 
+def audited(folder: Path, printed: str, code: int) -> subprocess.CompletedProcess[str]:
+    """`make audit` with an auditor that says so."""
+    auditor = folder / "audit" / "bin" / "pip-audit"
+    auditor.parent.mkdir(parents=True)
+    (folder / "told").write_text(printed)
+    auditor.write_text(f"#!/bin/sh\ncat '{folder / 'told'}'\nexit {code}\n")
+    auditor.chmod(0o755)
+    return run("make", "audit", f"AUDIT={folder / 'audit'}")
+
+
+def test_an_audit_that_was_told_nothing_is_none(tmp_path: Path, pins: dict[str, Version]):
+    skipped = [f"{name}  could not be audited: {name} ({pins[name]})" for name in pins]
+    clean = "No known vulnerabilities found"
+    done = audited(tmp_path / "none", "\n".join([clean, *skipped]), 0)
+    assert done.returncode == 2
+    assert clean not in done.stdout
+    assert f"{len(pins)} of {len(pins)} packages were not compared" in done.stderr
+    some = audited(tmp_path / "some", "\n".join([clean, *skipped[:2]]), 0)
+    assert some.returncode == 2
+    assert skipped[1] in some.stdout
+    assert f"2 of {len(pins)} packages were not compared" in some.stderr
+    assert audited(tmp_path / "all", clean, 0).returncode == 0
+    found = audited(tmp_path / "found", "torch 1.0 PYSEC-1", 1)
+    assert (found.returncode, found.stdout) == (2, "torch 1.0 PYSEC-1")
+
+
 def test_demonstrations_of_rows_come_through_make_unharmed(echoing: Path, tmp_path: Path):
     row = tmp_path / "rows" / "bc" / "seed0" / "evaluation.json"
     done = run("make", str(row), f"VENV={echoing}", f"ROW_RUNS={tmp_path / 'rows'}", f"DEMOS={ODD}")
@@ -334,9 +360,16 @@ def test_the_constraints_meet_every_requirement(project: dict, pins: dict[str, V
 
 def test_the_lowest_releases_are_the_lower_bounds(project: dict, pins: dict[str, Version]):
     """What `make check-lowest` runs is what `pyproject.toml` promises; torch's bound is not run."""
-    lines = (ROOT / "constraints-lowest.txt").read_text().splitlines()
-    tested = dict(line.split("==") for line in lines if not line.startswith("#"))
-    assert all(f"{name}==" in (ROOT / "constraints.txt").read_text() for name in tested)
+    part, _, asked_for = (ROOT / "constraints-lowest.txt").read_text().partition("# Not direct ")
+    tested, theirs = (
+        dict(line.split("==") for line in text.splitlines() if "==" in line)
+        for text in (part, asked_for)
+    )
+    direct = {normalised(Requirement(line).name) for line in project["dependencies"]}
+    assert not direct & {normalised(name) for name in theirs}
+    assert all(
+        f"{name}==" in (ROOT / "constraints.txt").read_text() for name in {**tested, **theirs}
+    )
     bounds = {
         normalised(requirement.name): Version(clause.version)
         for requirement in map(Requirement, project["dependencies"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -119,13 +119,22 @@ def compile_model(
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR.value
     _set_sky(spec)
     for body, names in geoms.items():
-        for geom, name in zip(spec.body(body).geoms, names, strict=True):
+        for geom, name in zip(_geoms_of(spec, body), names, strict=True):
             geom.name = name
     model = spec.compile()
     if model.nu != action_size:
         raise ValueError(f"{path} has {model.nu} actuators, the task needs {action_size}")
     low, high = model.actuator_ctrlrange.T
     return model, {"control_middle": (low + high) / 2, "control_half_range": (high - low) / 2}
+
+
+def _geoms_of(spec: mujoco.MjSpec, name: str) -> Iterator[mujoco.MjsGeom]:
+    """Of one body; MuJoCo before 3.3 has neither `MjSpec.body` nor `MjsBody.geoms`."""
+    body = next(body for body in spec.bodies if body.name == name)
+    geom = body.first_geom()
+    while geom is not None:
+        yield geom
+        geom = body.next_geom(geom)
 
 
 def _set_sky(spec: mujoco.MjSpec) -> None:

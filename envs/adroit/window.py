@@ -49,8 +49,13 @@ def open_window(simulator: HandSimulator, camera: mujoco.MjvCamera) -> Iterator[
         camera: where the free camera stands at first.
 
     Raises:
-        RenderingUnavailableError: the screen cannot be used.
+        RenderingUnavailableError: the screen cannot be used, or MuJoCo is too old for it.
     """
+    if not hasattr(mujoco, "mj_copyData"):
+        raise RenderingUnavailableError(
+            f"MuJoCo {mujoco.__version__} cannot copy what a window shows: install a later one, or "
+            f"{_FILM}"
+        )
     _require_screen()
     import mujoco.viewer  # noqa: PLC0415 - opens a library of windows
 

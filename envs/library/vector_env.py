@@ -138,7 +138,7 @@ class VectorEnv(EnvBase):
     def _set_seed(self, seed: int | None) -> None:
         """Number the episodes afresh; takes effect at each copy's next reset."""
         if seed is None:
-            seed = int(np.random.SeedSequence().generate_state(1, np.uint64)[0] >> 1)
+            seed = int(np.random.SeedSequence().generate_state(1, np.uint64)[0]) >> 1
         # It is stored as an int64 tensor.
         if not 0 <= seed < 2**63:
             raise ValueError(f"seed must be in [0, 2**63), got {seed}")
@@ -284,7 +284,7 @@ def episode_seed(seed: int, *address: int) -> int:
     Addressed by number instead of being drawn: what a copy sees depends neither on how many there
     are nor on when the others are reset.
     """
-    return int(np.random.SeedSequence(seed, spawn_key=address).generate_state(1)[0] >> 1)
+    return int(np.random.SeedSequence(seed, spawn_key=address).generate_state(1)[0]) >> 1
 
 
 def _chosen(mask: torch.Tensor | None, count: int) -> Array:

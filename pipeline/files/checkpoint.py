@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import json
 import logging
-import shutil
-import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,19 +17,15 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 from torch import nn
-from torchrl.checkpoint import (
-    Checkpoint,
-    CheckpointAdapter,
-    CheckpointRotation,
-    GlobalRNGState,
-)
+from torchrl.checkpoint import Checkpoint, CheckpointAdapter, GlobalRNGState
 from torchrl.collectors import BaseCollector
 from torchrl.data import ReplayBuffer
 from torchrl.envs import EnvBase
 from torchrl.trainers import Trainer
 
-from pipeline.files.run_format import CHECKPOINTS, SUMMED, latest_of, verify_checkpoint
-from pipeline.files.sums import SUMS, DamagedError, replace_folder, write_sums
+from pipeline.files.rotation import SummedCheckpoint
+from pipeline.files.run_format import CHECKPOINTS, latest_of, verify_checkpoint
+from pipeline.files.sums import DamagedError
 
 _logger = logging.getLogger(__name__)
 
@@ -139,29 +133,6 @@ class RandomState(GlobalRNGState):
         super().load_state_dict({**state_dict, "python": (version, numbers, gauss)})
 
 
-class SummedCheckpoint(Checkpoint):
-    """TorchRL's checkpoint, with the checksums of its files and on the disk before it has its name.
-
-    A process that is killed, or a machine that loses power, leaves the whole checkpoint or the one
-    before.
-    """
-
-    def save(
-        self, path: str | Path, *, metadata: Mapping[str, Any] | None = None, **options: Any
-    ) -> Path:
-        """As TorchRL's."""
-        destination = Path(path)
-        # Hidden: whoever looks for checkpoints passes it over.
-        stage = destination.with_name(f".{destination.name}.{uuid.uuid4().hex}")
-        try:
-            super().save(stage, metadata={**(metadata or {}), SUMMED: SUMS}, **options)
-            write_sums(stage)
-            replace_folder(stage, destination)
-        finally:
-            shutil.rmtree(stage, ignore_errors=True)
-        return destination
-
-
 def make_checkpoint(policy: nn.Module, collector_state: Any) -> Checkpoint:
     """The checkpoint to give to the trainer, with the parts it would not save itself.
 
@@ -171,18 +142,6 @@ def make_checkpoint(policy: nn.Module, collector_state: Any) -> Checkpoint:
     """
     checkpoint = SummedCheckpoint(policy=policy, collector=collector_state, rng=RandomState())
     return checkpoint.register_adapter(ReplayBuffer, BufferAdapter())
-
-
-def make_rotation(run_dir: Path, keep: int) -> CheckpointRotation:
-    """Keeps the ``keep`` newest checkpoints below ``run_dir / "checkpoints"``.
-
-    What a killed process left there half made is removed.
-    """
-    folder = run_dir / CHECKPOINTS
-    if folder.is_dir() and not folder.is_symlink():
-        for left in folder.glob(".*checkpoint-*"):
-            shutil.rmtree(left, ignore_errors=True)
-    return CheckpointRotation(folder, keep_last=keep)
 
 
 def latest_checkpoint(run_dir: Path) -> Path:

@@ -13,6 +13,8 @@ from torch import Tensor
 from torchrl.data import ReplayBuffer
 from torchrl.trainers import Trainer
 
+from pipeline.files.sealing import Sealing
+
 SPARE = 2**18
 """Bytes of descriptions."""
 BLOCK = 2**13
@@ -20,16 +22,18 @@ BLOCK = 2**13
 and its part of a description."""
 
 
-def with_room(trainer: Trainer, run_dir: Path) -> None:
+def with_room(trainer: Trainer, run_dir: Path, sealing: Sealing) -> None:
     """Lets ``trainer`` save nothing that the disk has no room for.
 
     A checkpoint is written through memory maps, and a write to one on a full disk is no error that
-    could be caught: the system ends the process (SIGBUS).
+    could be caught: the system ends the process (SIGBUS). What ``sealing`` is at work on is done
+    before, since an old checkpoint gives its room back then.
     """
     save = trainer._save_trainer
 
     @wraps(save)
     def guarded() -> None:
+        sealing.settle()
         components = trainer._sync_checkpoint_components().components
         needed = SPARE + sum(size_of(component) for component in components.values())
         free = shutil.disk_usage(run_dir).free

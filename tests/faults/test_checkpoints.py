@@ -18,9 +18,9 @@ from tensordict import TensorDict
 from envs.door.definition import TASK
 from pipeline.build import build_run
 from pipeline.commands.evaluate_run import evaluate_run
-from pipeline.files import checkpoint as checkpoints
-from pipeline.files import sums
-from pipeline.files.checkpoint import SummedCheckpoint, latest_checkpoint, load_component
+from pipeline.files import rotation, sums
+from pipeline.files.checkpoint import latest_checkpoint, load_component
+from pipeline.files.rotation import SummedCheckpoint
 from pipeline.files.run_format import MANIFEST, SUMMED
 from pipeline.files.sums import SUMS, DamagedError, verify_sums, write_sums
 from pipeline.policy import load_policy
@@ -180,7 +180,7 @@ def test_a_save_that_fails_half_way_leaves_the_one_before(
     def full(_folder: Path) -> None:
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(checkpoints, "write_sums", full)
+    monkeypatch.setattr(rotation, "write_sums", full)
     with pytest.raises(OSError, match="no space"):
         SummedCheckpoint(policy=torch.nn.Linear(1, 1)).save(tmp_path / "saved")
     assert contents(tmp_path) == before

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 
 import pytest
 
-from pipeline.files.run_files import CONFIG, EVALUATION, SUM, TEXT_BYTES, RunDirectoryError
+from pipeline.files.run_files import (
+    CONFIG,
+    EVALUATION,
+    SUM,
+    TEXT_BYTES,
+    RunDirectoryError,
+    write_atomically,
+)
 from pipeline.recipe import Recipe
 from pipeline.results.evaluation_files import load_evaluation, save_evaluation
 from pipeline.run_dir import load_recipe, save_recipe
@@ -85,3 +94,31 @@ def test_what_is_no_evaluation_is_one_line(text: bytes, tmp_path: Path):
         load_evaluation(tmp_path)
     assert str(tmp_path / EVALUATION) in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_a_text_is_on_the_disk_before_it_has_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    path, events = tmp_path / "text", []
+    path.write_text("old")
+    fsync, replace = os.fsync, Path.replace
+    monkeypatch.setattr(os, "fsync", lambda handle: (events.append("disk"), fsync(handle))[1])
+    monkeypatch.setattr(Path, "replace", lambda a, b: (events.append(b), replace(a, b))[1])
+    write_atomically(path, "new")
+    assert events == ["disk", path]
+    assert path.read_text() == "new"
+
+
+def test_a_text_that_cannot_be_written_leaves_the_old_one_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    path = tmp_path / "text"
+    path.write_text("old")
+
+    def full(_handle: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_atomically(path, "new")
+    assert [one.read_text() for one in tmp_path.iterdir()] == ["old"]

@@ -16,6 +16,7 @@ from configs import compose
 from pipeline.build import build_run
 from pipeline.files.curves import cut_back, in_order, read_lines
 from pipeline.files.run_files import RunDirectoryError
+from pipeline.files.run_lock import LOCK, lock_run
 from pipeline.recipe import Recipe
 from pipeline.resuming import changes
 from pipeline.run_dir import load_recipe
@@ -240,6 +241,12 @@ def test_a_directory_in_use_is_refused_until_its_process_is_gone(tmp_path: Path)
             build_run(recipe_of(), run_dir)
         holder.kill()
     resumed(run_dir).train()
+
+
+def test_a_directory_that_cannot_be_locked_is_told(tmp_path: Path):
+    (tmp_path / LOCK).mkdir()
+    with pytest.raises(RunDirectoryError, match=r"Run directory .* cannot be written \(Is a dir"):
+        lock_run(tmp_path)
 
 
 def test_rows_are_read_by_frames_whatever_a_curve_holds(

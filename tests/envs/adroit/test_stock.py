@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -88,9 +89,13 @@ def test_equals_it_where_a_good_policy_goes(task, play_stock):
     assert ours["success"].any()
 
 
+# MuJoCo 3.2.4 parts in the last digit of float32, in 6 of 55,476 numbers of the hammer.
+ATOL = 1e-15 if hasattr(mujoco.MjSpec, "body") else 2e-8
+
+
 def assert_same(ours: Arrays, theirs: Arrays) -> None:
     # Exactly, but that 0.0 of theirs may be the difference of two equal vectors.
     observed = theirs["observation"].astype(np.float32)
-    np.testing.assert_allclose(ours["observation"], observed, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(ours["observation"], observed, rtol=0, atol=ATOL)
     np.testing.assert_array_equal(ours["success"], theirs["success"])
     np.testing.assert_array_equal(ours["success"], theirs["sparse"] == 10.0)

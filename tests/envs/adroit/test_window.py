@@ -52,6 +52,18 @@ def viewers(monkeypatch: pytest.MonkeyPatch) -> list[Viewer]:
     return opened
 
 
+def test_a_mujoco_that_cannot_copy_is_told_before_a_window_opens(
+    viewers: list[Viewer], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.delattr(mujoco, "mj_copyData", raising=False)
+    env = TASK.make_env(EnvOptions(num_envs=1, seed=0))
+    told = pytest.raises(RenderingUnavailableError, match=r"MuJoCo .* a later one, or make a film")
+    with told, TASK.render.window(env):
+        pass
+    assert viewers == []
+
+
+@pytest.mark.skipif(not hasattr(mujoco, "mj_copyData"), reason="this MuJoCo cannot copy")
 def test_the_window_shows_the_first_copy_until_it_is_closed(viewers: list[Viewer]):
     env = TASK.make_env(EnvOptions(num_envs=2, seed=0))
     env.reset()
