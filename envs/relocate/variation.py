@@ -44,9 +44,7 @@ def begins(episode: Episode) -> int | None:
     return first(lifted(episode.observations[1:], episode.start[TARGET_POSITION]))
 
 
-def lifted(
-    observations: NDArray[np.float32], target: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def lifted(observations: NDArray[np.float32], target: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether the ball is off the table, bool [...], of observations [..., 39].
 
     Args:
