@@ -18,6 +18,7 @@ from envs.hammer.contacts import CONTACTS
 from envs.hammer.demos import SCHEMA
 from envs.hammer.disturbing import DISTURB
 from envs.hammer.hand import HAMMER
+from envs.hammer.variation import VARY
 from envs.task import Stage, Task
 
 REACHED_M: Final = 0.1
@@ -54,6 +55,7 @@ TASK: Final = Task(
     disturb=DISTURB,
     contacts=CONTACTS,
     states=States(HAMMER),
+    vary=VARY,
     progress_unit="m",
     rewards=REWARDS,
     defaults=MappingProxyType(

@@ -18,6 +18,7 @@ from envs.pen.contacts import CONTACTS
 from envs.pen.demos import SCHEMA
 from envs.pen.disturbing import DISTURB
 from envs.pen.hand import PEN
+from envs.pen.variation import VARY
 from envs.task import Stage, Task
 
 
@@ -43,6 +44,7 @@ TASK: Final = Task(
     disturb=DISTURB,
     contacts=CONTACTS,
     states=States(PEN),
+    vary=VARY,
     progress_unit="cos",
     rewards=REWARDS,
     defaults=MappingProxyType(

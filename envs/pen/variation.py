@@ -46,4 +46,4 @@ VARYING: Final = Varying(
     under_way=on_the_hand,
     patience=0,
 )
-VARY: Final = HandVariation(VARYING, scale=0.1)
+VARY: Final = HandVariation(VARYING, scale=0.05)

@@ -18,6 +18,7 @@ from envs.relocate.contacts import CONTACTS
 from envs.relocate.demos import SCHEMA
 from envs.relocate.disturbing import DISTURB
 from envs.relocate.hand import RELOCATE
+from envs.relocate.variation import VARY
 from envs.task import Stage, Task
 
 REACHED_M: Final = 0.1
@@ -47,6 +48,7 @@ TASK: Final = Task(
     disturb=DISTURB,
     contacts=CONTACTS,
     states=States(RELOCATE),
+    vary=VARY,
     progress_unit="m",
     rewards=REWARDS,
     defaults=MappingProxyType(

@@ -67,4 +67,4 @@ VARYING: Final = Varying(
     under_way=lambda observations, placement: lifted(observations, placement[TARGET_POSITION]),
     patience=30,
 )
-VARY: Final = HandVariation(VARYING, scale=0.1)
+VARY: Final = HandVariation(VARYING, scale=0.05)
