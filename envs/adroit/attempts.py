@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from envs.adroit.hand import Placement
 from envs.adroit.scene import HandScene
 from envs.adroit.variation import correlated_noise, retime, servo_compliance
-from envs.adroit.varying import Varying
+from envs.adroit.varying import Guided, Varying
 from envs.demonstrations.episode import Episode
 from envs.demonstrations.errors import DemonstrationError
 from envs.demonstrations.multiply_config import MultiplyConfig
@@ -138,16 +138,22 @@ def _template(episode: Episode, scene: HandScene, varying: Varying) -> _Template
             "multiplication needs",
             "Re-simulate the demonstrations first (demos.resimulate=true), or store it in the file",
         )
-    guided, before = varying.guided, episode.observations[:-1]
-    shares = () if guided is None else guided.follow(episode)
     return _Template(
         actions=episode.actions.astype(np.float64).clip(-1.0, 1.0),
         placement={name: episode.start[name] for name in scene.placed},
-        action_per_metre=tuple(
-            guided.guide.action_per_metre(scene, before, share) for share in shares
-        ),
+        action_per_metre=_action_per_metre(episode, scene, varying.guided),
         begins=varying.begins(episode),
     )
+
+
+def _action_per_metre(
+    episode: Episode, scene: HandScene, guided: Guided | None
+) -> tuple[NDArray[np.float64], ...]:
+    if guided is None:
+        return ()
+    before = episode.observations[:-1]
+    shares = guided.follow(episode)
+    return tuple(guided.guide.action_per_metre(scene, before, share) for share in shares)
 
 
 def choose(

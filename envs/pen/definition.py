@@ -53,6 +53,9 @@ TASK: Final = Task(
                 # Up to 61 a step, three times the door's.
                 "loss.reward_scale": 0.03,
                 "loss.target_entropy": -39,  # 1.6 an action entry, as the door's
+                # Played faster than that, a pen is flung off the hand.
+                "demos.multiply.speed_low": 0.8,
+                "demos.multiply.speed_high": 1.2,
             },
         }
     ),

@@ -57,6 +57,9 @@ TASK: Final = Task(
                 # Up to 31 a step, half as much again as the door's.
                 "loss.reward_scale": 0.06,
                 "loss.target_entropy": -48,  # 1.6 an action entry, as the door's
+                # Played faster, a hand that was moved to another ball closes beside it.
+                "demos.multiply.speed_low": 0.9,
+                "demos.multiply.speed_high": 1.2,
             },
         }
     ),
