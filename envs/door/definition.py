@@ -17,7 +17,6 @@ from envs.adroit.room import REWARDS, Pictures
 from envs.adroit.scene import STEPS_PER_SECOND
 from envs.adroit.states import States
 from envs.door import metrics, task
-from envs.door.attempts import DoorVariation
 from envs.door.contacts import CONTACTS
 from envs.door.defaults import DEFAULTS
 from envs.door.demos import DOOR_POSITION, SCHEMA
@@ -27,6 +26,7 @@ from envs.door.resimulation import resimulate
 from envs.door.simulator import DOOR
 from envs.door.starts import door_position
 from envs.door.torchrl_env import DoorEnv
+from envs.door.variation import VARY
 from envs.motion import Motion
 from envs.options import EnvOptions
 from envs.rewards import SPARSE
@@ -107,7 +107,7 @@ TASK: Final = Task(
     demos=SCHEMA,
     resimulate=resimulate,
     states=States(DOOR),
-    vary=DoorVariation(),
+    vary=VARY,
     render=Pictures(VIEW).render(),
     summary=summary,
     motion=MOTION,

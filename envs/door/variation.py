@@ -1,117 +1,56 @@
-"""How one recorded action sequence becomes another: speed, door position, noise."""
+"""How the door's demonstrations are varied: the palm moves along with the door."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Final
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from envs.adroit.guide import ArmGuide
+from envs.adroit.hand import Placement
+from envs.adroit.multiplication import HandVariation
+from envs.adroit.varying import Guided, Varying, first
+from envs.demonstrations.episode import Episode
 from envs.door import task
-from envs.door.scene import DoorScene
+from envs.door.demos import DOOR_POSITION, SCHEMA
+from envs.door.simulator import DOOR
 
-#: The four actuators that carry the hand: forearm slide, then its three rotations.
-ARM = slice(0, 4)
-#: Keeps the least-squares step small where the arm cannot move the palm in some direction (m/rad).
-_DAMPING = 0.01
-
-
-def retime(values: NDArray[np.float64], speed: float, steps: int) -> NDArray[np.float64]:
-    """Play a sequence ``speed`` times as fast, by linear interpolation; then hold its last entry.
-
-    The actions are position targets, so a faster sequence of them is a faster movement.
-
-    Args:
-        values: [T, ...].
-        speed: > 0; 1 leaves the sequence as it is.
-        steps: number of entries to return.
-
-    Returns:
-        [steps, ...].
-    """
-    position = np.minimum(np.arange(steps) * speed, len(values) - 1)
-    before = position.astype(int)
-    after = np.minimum(before + 1, len(values) - 1)
-    share = (position - before).reshape(-1, *[1] * (values.ndim - 1))
-    return (1.0 - share) * values[before] + share * values[after]
+GUIDE: Final = ArmGuide(
+    arm=slice(0, 4),  # the forearm's slide, then its three rotations
+    # The slide is not observed and not needed: sliding does not turn anything.
+    joints=slice(1, 1 + task.HAND_QPOS.stop),
+    observed=task.HAND_QPOS,
+)
+RAMP_STEPS: Final = 60
+"""The offset grows linearly over so many recorded steps: episodes start in the same reset pose."""
 
 
-def correlated_noise(
-    rng: np.random.Generator, steps: int, scale: float, correlation: float
-) -> NDArray[np.float64]:
-    """Stationary AR(1) noise [steps, 28] with standard deviation ``scale``.
-
-    White noise averages out in the position servos; correlated noise pushes the hand off its path.
-
-    Args:
-        rng: source of randomness.
-        steps: length.
-        scale: standard deviation of each entry.
-        correlation: between consecutive steps, in [0, 1).
-    """
-    white = rng.standard_normal((steps, task.ACTION_SIZE))
-    noise = np.empty_like(white)
-    noise[0] = white[0]
-    innovation = np.sqrt(1.0 - correlation**2)
-    for t in range(1, steps):
-        noise[t] = correlation * noise[t - 1] + innovation * white[t]
-    return scale * noise
+def _offset(source: Placement, new: Placement) -> NDArray[np.float64]:
+    return new[DOOR_POSITION] - source[DOOR_POSITION]
 
 
-def servo_compliance(scene: DoorScene) -> NDArray[np.float64]:
-    """Target change per joint change in equilibrium, [28]: 0.4 for the arm, 1 for the hand.
-
-    Force = gain * target - bias * joint, and the arm's gain is 2.5 times its bias.
-    """
-    model = scene.model
-    return -model.actuator_biasprm[:, 1] / model.actuator_gainprm[:, 0]
+def follow(episode: Episode) -> tuple[NDArray[np.float64]]:
+    """How much of the door's offset the palm has made at each step, [T]."""
+    return (np.minimum(np.arange(episode.length) / RAMP_STEPS, 1.0),)
 
 
-@dataclass(frozen=True)
-class ArmGuide:
-    """Moves the palm along with the door, through the arm's four actuators.
+def begins(episode: Episode) -> int | None:
+    """Step in which the door comes open; None if it never does."""
+    return first(task.hinge_angle(episode.observations[1:]) > task.OPEN_THRESHOLDS[0])
 
-    Replayed at a door that stands elsewhere, the recorded hand misses the handle. Shifting the
-    palm's path by the same offset brings it back (MimicGen transforms whole object-relative
-    end-effector paths; here the first-order correction is enough: the arm reaches 10 cm and keeps
-    the wrist nearly parallel).
 
-    Args:
-        scene: the door scene; its model is read only.
-        ramp_steps: the offset grows linearly over so many recorded steps, because every episode
-            starts in the same reset pose.
-    """
-
-    scene: DoorScene
-    ramp_steps: int = 60
-
-    def action_per_metre(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Change of the four arm actions per metre of palm displacement.
-
-        Args:
-            observations: [T, 38] along the recorded episode.
-
-        Returns:
-            [T, 4, 3]: multiply by a displacement [3] in metres.
-        """
-        per_radian = servo_compliance(self.scene)[ARM] / self.scene.control_half_range[ARM]
-        jacobian = self._palm_jacobian(observations)
-        transposed = jacobian.swapaxes(-1, -2)
-        inverse = transposed @ np.linalg.inv(jacobian @ transposed + _DAMPING**2 * np.eye(3))
-        ramp = np.minimum(np.arange(len(observations)) / self.ramp_steps, 1.0)
-        return ramp[:, None, None] * per_radian[:, None] * inverse
-
-    def _palm_jacobian(self, observations: NDArray[np.float32]) -> NDArray[np.float64]:
-        model, data = self.scene.model, mujoco.MjData(self.scene.model)
-        # The forearm slide is not observed and not needed: sliding does not turn anything.
-        hand = slice(1, 1 + task.HAND_QPOS.stop)
-        full = np.zeros((3, model.nv))
-        jacobian = np.empty((len(observations), 3, ARM.stop))
-        for t, observation in enumerate(observations):
-            data.qpos[hand] = observation[task.HAND_QPOS]
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_jacSite(model, data, full, None, self.scene.palm_site)
-            jacobian[t] = full[:, ARM]
-        return jacobian
+VARYING: Final = Varying(
+    name="DoorVariation",
+    task=DOOR,
+    schema=SCHEMA,
+    apart=lambda source, new: float(np.linalg.norm(_offset(source, new))),
+    apart_key="door_offset_m",
+    scale_key="position_scale_m",
+    progress="a hinge angle in rad",
+    guided=Guided(GUIDE, lambda source, new: (_offset(source, new),), follow),
+    begins=begins,
+    under_way=lambda observations, _: task.hinge_angle(observations) > task.OPEN_THRESHOLDS[0],
+    patience=30,
+)
+VARY: Final = HandVariation(VARYING, scale=0.08)

@@ -10,20 +10,19 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from envs.adroit.render import View
-from envs.adroit.resimulation import QPOS, QVEL, Resimulation
+from envs.adroit.resimulation import Resimulation
 from envs.adroit.room import REWARDS, MakeEnv, Pictures, Starts
 from envs.adroit.states import States
-from envs.demonstrations.schema import DemoSchema, StartKey
 from envs.hammer import task
 from envs.hammer.contacts import CONTACTS
+from envs.hammer.demos import SCHEMA
 from envs.hammer.disturbing import DISTURB
-from envs.hammer.hand import BOARD_POSITION, HAMMER
+from envs.hammer.hand import HAMMER
+from envs.hammer.variation import VARY
 from envs.task import Stage, Task
 
 REACHED_M: Final = 0.1
 """Distance between palm and hammer below which the hand counts as having reached it."""
-MOVED_M: Final = 0.01
-"""How far the nail has been driven when it counts as hit."""
 
 
 def _reached(after: TensorDictBase) -> Tensor:
@@ -40,34 +39,13 @@ def _lifted(after: TensorDictBase) -> Tensor:
 VIEW: Final = View((0.0, -0.1, 0.18), distance=1.0, azimuth=45, elevation=-30)
 """Keeps the hand and what it is to do in sight for whole episodes."""
 
-SCHEMA: Final = DemoSchema(
-    describes="the Adroit hammer (46-d observations, 26-d actions)",
-    observation_size=task.OBSERVATION_SIZE,
-    action_size=task.ACTION_SIZE,
-    # Humans' position targets lie beyond 1; far beyond it the actions are of another kind.
-    action_bound=3.0,
-    start=(
-        StartKey(BOARD_POSITION, 3, ("board_pos",)),
-        StartKey(QPOS, task.STATE_SIZE, ("initial_qpos",)),
-        StartKey(QVEL, task.STATE_SIZE, ("initial_qvel",)),
-    ),
-    reward=task.observed_reward,
-    # The velocity penalty, which no observation shows, and the nail's way in 2 ms.
-    reward_tolerance=0.6,
-    terminated=task.never,
-    success=task.success,
-    progress=task.driven,
-    horizon=task.HORIZON,
-    full_progress=task.NAIL_LENGTH,
-)
-
 TASK: Final = Task(
     name="hammer",
     make_env=MakeEnv(HAMMER),
     stages=(
         Stage("reached", _reached),
         Stage("lifted", _lifted),
-        Stage("nail hit", lambda after: after["progress"].squeeze(-1) > MOVED_M),
+        Stage("nail hit", lambda after: after["progress"].squeeze(-1) > task.MOVED),
         Stage("nail in", lambda after: after["success"].squeeze(-1)),
     ),
     starts=Starts(HAMMER),
@@ -77,6 +55,7 @@ TASK: Final = Task(
     disturb=DISTURB,
     contacts=CONTACTS,
     states=States(HAMMER),
+    vary=VARY,
     progress_unit="m",
     rewards=REWARDS,
     defaults=MappingProxyType(

@@ -43,6 +43,8 @@ CLOSE: Final = 0.02
 """Distance between the nail's head and its goal below which a bonus is paid."""
 DRIVEN: Final = 0.01
 """Distance below which the nail counts as driven in."""
+MOVED: Final = 0.01
+"""How far the nail has been driven when it counts as hit."""
 LIFTED: Final = 0.04
 """Height above which the hammer counts as lifted."""
 BOARD_HEIGHT: Final = (0.1, 0.25)

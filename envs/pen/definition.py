@@ -10,14 +10,15 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from envs.adroit.render import View
-from envs.adroit.resimulation import QPOS, QVEL, Resimulation
+from envs.adroit.resimulation import Resimulation
 from envs.adroit.room import REWARDS, MakeEnv, Pictures, Starts
 from envs.adroit.states import States
-from envs.demonstrations.schema import DemoSchema, StartKey
 from envs.pen import task
 from envs.pen.contacts import CONTACTS
+from envs.pen.demos import SCHEMA
 from envs.pen.disturbing import DISTURB
-from envs.pen.hand import ASKED_ORIENTATION, PEN
+from envs.pen.hand import PEN
+from envs.pen.variation import VARY
 from envs.task import Stage, Task
 
 
@@ -28,26 +29,6 @@ def _aligned(after: TensorDictBase) -> Tensor:
 
 VIEW: Final = View((0.06, -0.2, 0.22), distance=0.6, azimuth=90, elevation=-50)
 """Keeps the hand and what it is to do in sight for whole episodes."""
-
-SCHEMA: Final = DemoSchema(
-    describes="the Adroit pen (45-d observations, 24-d actions)",
-    observation_size=task.OBSERVATION_SIZE,
-    action_size=task.ACTION_SIZE,
-    # Humans' position targets lie beyond 1; far beyond it the actions are of another kind.
-    action_bound=3.0,
-    start=(
-        StartKey(ASKED_ORIENTATION, 4, ("desired_orien",)),
-        StartKey(QPOS, task.STATE_SIZE, ("initial_qpos",)),
-        StartKey(QVEL, task.STATE_SIZE, ("initial_qvel",)),
-    ),
-    reward=task.reward,
-    reward_tolerance=1e-4,
-    terminated=task.never,
-    success=task.success,
-    progress=task.alignment,
-    horizon=task.HORIZON,
-    full_progress=1.0,
-)
 
 TASK: Final = Task(
     name="pen",
@@ -63,6 +44,7 @@ TASK: Final = Task(
     disturb=DISTURB,
     contacts=CONTACTS,
     states=States(PEN),
+    vary=VARY,
     progress_unit="cos",
     rewards=REWARDS,
     defaults=MappingProxyType(
@@ -71,6 +53,9 @@ TASK: Final = Task(
                 # Up to 61 a step, three times the door's.
                 "loss.reward_scale": 0.03,
                 "loss.target_entropy": -39,  # 1.6 an action entry, as the door's
+                # Played faster than that, a pen is flung off the hand.
+                "demos.multiply.speed_low": 0.8,
+                "demos.multiply.speed_high": 1.2,
             },
         }
     ),

@@ -10,14 +10,15 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from envs.adroit.render import View
-from envs.adroit.resimulation import QPOS, QVEL, Resimulation
+from envs.adroit.resimulation import Resimulation
 from envs.adroit.room import REWARDS, MakeEnv, Pictures, Starts
 from envs.adroit.states import States
-from envs.demonstrations.schema import DemoSchema, StartKey
 from envs.relocate import task
 from envs.relocate.contacts import CONTACTS
+from envs.relocate.demos import SCHEMA
 from envs.relocate.disturbing import DISTURB
-from envs.relocate.hand import BALL_POSITION, RELOCATE, TARGET_POSITION, observed_reward
+from envs.relocate.hand import RELOCATE
+from envs.relocate.variation import VARY
 from envs.task import Stage, Task
 
 REACHED_M: Final = 0.1
@@ -36,27 +37,6 @@ def _within(distance: float) -> Stage:
 VIEW: Final = View((0.0, 0.02, 0.16), distance=1.2, azimuth=60, elevation=-30)
 """Keeps the hand and what it is to do in sight for whole episodes."""
 
-SCHEMA: Final = DemoSchema(
-    describes="the Adroit hand that relocates a ball (39-d observations, 30-d actions)",
-    observation_size=task.OBSERVATION_SIZE,
-    action_size=task.ACTION_SIZE,
-    # Humans' position targets lie beyond 1; far beyond it the actions are of another kind.
-    action_bound=3.0,
-    start=(
-        StartKey(BALL_POSITION, 3, ("obj_pos",)),
-        StartKey(TARGET_POSITION, 3, ("target_pos",)),
-        StartKey(QPOS, task.STATE_SIZE, ("initial_qpos",)),
-        StartKey(QVEL, task.STATE_SIZE, ("initial_qvel",)),
-    ),
-    reward=observed_reward,
-    reward_tolerance=1e-4,
-    terminated=task.never,
-    success=task.success,
-    progress=task.nearness,
-    horizon=task.HORIZON,
-    full_progress=0.0,
-)
-
 TASK: Final = Task(
     name="relocate",
     make_env=MakeEnv(RELOCATE),
@@ -68,6 +48,7 @@ TASK: Final = Task(
     disturb=DISTURB,
     contacts=CONTACTS,
     states=States(RELOCATE),
+    vary=VARY,
     progress_unit="m",
     rewards=REWARDS,
     defaults=MappingProxyType(
@@ -76,6 +57,9 @@ TASK: Final = Task(
                 # Up to 31 a step, half as much again as the door's.
                 "loss.reward_scale": 0.06,
                 "loss.target_entropy": -48,  # 1.6 an action entry, as the door's
+                # Played faster, a hand that was moved to another ball closes beside it.
+                "demos.multiply.speed_low": 0.9,
+                "demos.multiply.speed_high": 1.2,
             },
         }
     ),

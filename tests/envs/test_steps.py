@@ -8,8 +8,8 @@ import pytest
 from envs.adroit.simulator import HandSimulator
 from envs.demonstrations import MultiplyConfig
 from envs.demonstrations.multiplication import multiply, multiply_cached
-from envs.door.attempts import DoorVariation
 from envs.door.resimulation import resimulate
+from envs.door.variation import VARY
 from envs.steps import count_steps, counted_steps
 from tests.demonstrations.helpers import still_episode
 
@@ -59,7 +59,7 @@ def test_what_is_counted_is_what_the_simulator_did(advanced: list[int], tmp_path
     assert replayed.taken == sum(advanced) > 0
     advanced.clear()
     with counted_steps() as multiplied:
-        multiply(sources, CONFIG, DoorVariation(), num_threads=1)
+        multiply(sources, CONFIG, VARY, num_threads=1)
     assert multiplied.taken == sum(advanced) >= 4 * 6
 
 
@@ -68,10 +68,10 @@ def test_what_a_cache_holds_counts_as_when_it_was_made(advanced: list[int], tmp_
     taken = []
     for _ in range(2):
         with counted_steps() as steps:
-            multiply_cached(sources, CONFIG, DoorVariation(), cache_dir=tmp_path)
+            multiply_cached(sources, CONFIG, VARY, cache_dir=tmp_path)
         taken.append(steps.taken)
         before = len(advanced)
     assert taken[0] == taken[1] > 0
     with counted_steps():
-        multiply_cached(sources, CONFIG, DoorVariation(), cache_dir=tmp_path)
+        multiply_cached(sources, CONFIG, VARY, cache_dir=tmp_path)
     assert len(advanced) == before, "the cache was not used"

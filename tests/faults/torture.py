@@ -28,9 +28,9 @@ from tabulate import tabulate
 
 from envs.demonstrations import DemonstrationError, MultiplyConfig, content_hash
 from envs.demonstrations.multiplication import multiply_cached
-from envs.door.attempts import DoorVariation
 from envs.door.definition import TASK
 from envs.door.resimulation import resimulate
+from envs.door.variation import VARY
 from pipeline.commands.evaluate_run import evaluate_run
 from pipeline.files.checkpoint import latest_checkpoint, load_component, trained_frames
 from pipeline.files.run_files import CONFIG, EVALUATION
@@ -136,7 +136,7 @@ def targets(folder: Path) -> Iterator[Target]:
     cache = folder / "multiplied"
 
     def multiplied() -> str:
-        made = multiply_cached(sources, config, DoorVariation(), num_threads=1, cache_dir=cache)
+        made = multiply_cached(sources, config, VARY, num_threads=1, cache_dir=cache)
         return content_hash(made)
 
     multiplied()

@@ -10,7 +10,7 @@ import pytest
 
 from envs.demonstrations import MultiplyConfig, multiply
 from envs.door import task
-from envs.door.attempts import DoorVariation
+from envs.door.variation import VARY
 from tests.demonstrations.helpers import load_door
 
 FILE = Path(__file__).parents[4] / "shared" / "demos" / "dapg" / "door-v0_demos.pickle"
@@ -40,7 +40,7 @@ def test_physics_and_reward_agree_with_the_file(human) -> None:
 def test_multiplied_episodes_open_the_door_and_are_faster(human) -> None:
     openers = [e for e in human.episodes if e.max_progress > task.SUCCESS_ANGLE]
     kept = multiply(
-        openers, MultiplyConfig(target_episodes=6, round_size=24, max_attempts=48), DoorVariation()
+        openers, MultiplyConfig(target_episodes=6, round_size=24, max_attempts=48), VARY
     )
     assert len(kept) == 6
     for episode in kept:

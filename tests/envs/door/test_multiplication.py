@@ -12,6 +12,9 @@ import h5py
 import numpy as np
 import pytest
 
+from envs.adroit.attempts import Attempt, AttemptFactory
+from envs.adroit.multiplication import play_attempts
+from envs.adroit.varying import Varying
 from envs.demonstrations import (
     DemonstrationError,
     Episode,
@@ -22,21 +25,25 @@ from envs.demonstrations import (
 )
 from envs.demonstrations.multiplication import cache_key, multiply_cached
 from envs.door import task
-from envs.door.attempts import AttemptFactory, DoorVariation, play_attempts
 from envs.door.resimulation import resimulate
 from envs.door.scene import build_scene
 from envs.door.simulator import DoorSimulator
+from envs.door.variation import VARY, VARYING
 from tests.demonstrations.helpers import door_of, still_episode
 
 # An angle that every closed door passes: the bookkeeping can be tested without a door opener.
 ANY_ANGLE = {"min_progress": -1.0, "horizon": 6, "round_size": 8, "target_episodes": 12}
 
 
-VARY = DoorVariation()
-
-
 def config(**changes: Any) -> MultiplyConfig:
     return MultiplyConfig(**(ANY_ANGLE | changes))
+
+
+def attempt_of(
+    episodes: list[Episode], settings: MultiplyConfig, varying: Varying = VARYING
+) -> Attempt:
+    factory = AttemptFactory.prepare(episodes, settings, build_scene(), varying, VARY.scale)
+    return factory.draw(0, np.ones(len(episodes)))
 
 
 @pytest.fixture(scope="module")
@@ -90,15 +97,14 @@ def test_without_noise_the_recorded_actions_are_the_executed_ones(sources) -> No
 
 
 def test_noise_is_executed_but_the_clean_action_is_recorded(sources) -> None:
-    factory = AttemptFactory.prepare(sources, config(noise_scale=0.5), build_scene(), VARY)
-    attempt = factory.draw(0, np.ones(3))
+    attempt = attempt_of(sources, config(noise_scale=0.5))
     noisy = attempt.executed_actions - attempt.clean_actions
     assert np.abs(noisy).max() > 0.05
-    quiet = AttemptFactory.prepare(sources, config(noise_scale=0.0), build_scene(), VARY)
-    np.testing.assert_array_equal(attempt.clean_actions, quiet.draw(0, np.ones(3)).clean_actions)
+    quiet = attempt_of(sources, config(noise_scale=0.0))
+    np.testing.assert_array_equal(attempt.clean_actions, quiet.clean_actions)
     with DoorSimulator(1) as simulator:
-        ((_, observations),) = play_attempts(simulator, [attempt], config())
-        simulator.reset(attempt.door_position[None])
+        (observations,) = play_attempts(simulator, [attempt], config(), VARYING).observations
+        simulator.reset(attempt.placement["door_position"][None])
         expected = [simulator.step(a[None])[0] for a in attempt.executed_actions]
     np.testing.assert_array_equal(observations[1:], np.stack(expected))
 
@@ -123,12 +129,8 @@ def test_without_noise_there_is_one_action(sources) -> None:
 
 def test_the_arm_is_guided_by_the_offset_between_the_doors(sources) -> None:
     still = [dataclasses.replace(e, actions=np.zeros_like(e.actions)) for e in sources]
-    drawn = [
-        AttemptFactory.prepare(still, config(), build_scene(), DoorVariation(guide_arm=on)).draw(
-            0, np.ones(3)
-        )
-        for on in (True, False)
-    ]
+    unguided = dataclasses.replace(VARYING, guided=None)
+    drawn = [attempt_of(still, config(), varying) for varying in (VARYING, unguided)]
     assert not drawn[1].clean_actions.any()
     hand = drawn[0].clean_actions[:, 4:]
     assert not hand.any()
@@ -145,22 +147,20 @@ def opened_at(episode: Episode, step: int) -> Episode:
 
 def test_attempts_whose_door_stays_closed_are_given_up(sources) -> None:
     settings = config(horizon=60, speed_low=2.0, speed_high=2.0)
-    factory = AttemptFactory.prepare([opened_at(sources[0], 8)], settings, build_scene(), VARY)
-    attempt = factory.draw(0, np.ones(1))
+    attempt = attempt_of([opened_at(sources[0], 8)], settings)
     # The recorded door moves in step 8, so at double speed in step 4; then patience begins.
-    assert 4 + 10 < attempt.opens_by < 60
+    assert attempt.under_way_by == 4 + 30
     stepped: list[int] = []
     with DoorSimulator(1) as simulator:
         step = simulator.step
         simulator.step = lambda *a, **k: (stepped.append(1), step(*a, **k))[1]
-        ((_, observations),) = play_attempts(simulator, [attempt], settings)
-    assert observations is None
-    assert len(stepped) == attempt.opens_by + 1
+        result = play_attempts(simulator, [attempt], settings, VARYING)
+    assert result.steps == [attempt.under_way_by + 1]
+    assert len(stepped) == attempt.under_way_by + 1
 
 
 def test_a_source_that_never_opens_gives_no_deadline(sources) -> None:
-    factory = AttemptFactory.prepare(sources, config(horizon=60), build_scene(), VARY)
-    assert factory.draw(0, np.ones(3)).opens_by == 60
+    assert attempt_of(sources, config(horizon=60)).under_way_by == 60
 
 
 def test_no_source_gives_more_than_its_share(sources) -> None:
@@ -170,7 +170,7 @@ def test_no_source_gives_more_than_its_share(sources) -> None:
         dataclasses.replace(e, start={"door_position": door_of(e) + np.array([0, 0.3, 0])})
         for e in others
     ]
-    kept = multiply([near, *far], config(balance=1.5), DoorVariation(position_scale_m=0.02))
+    kept = multiply([near, *far], config(balance=1.5), dataclasses.replace(VARY, scale=0.02))
     counts = collections.Counter(e.provenance.episode for e in kept)
     assert counts[0] == 6
     assert sum(counts.values()) == 12
@@ -233,8 +233,8 @@ def test_a_damaged_cache_file_is_replaced(
 
 def test_the_cache_key_holds_all_that_matters(sources, monkeypatch: pytest.MonkeyPatch) -> None:
     keys = {cache_key(sources, config(), VARY), cache_key(sources[:2], config(), VARY)}
-    keys.add(cache_key(sources, config(), DoorVariation(position_scale_m=0.1)))
-    keys.add(cache_key(sources, config(), DoorVariation(guide_arm=False)))
+    keys.add(cache_key(sources, config(), dataclasses.replace(VARY, scale=0.1)))
+    keys.add(cache_key(sources, config(), dataclasses.replace(VARY, guide_arm=False)))
     for field in dataclasses.fields(MultiplyConfig):
         value = getattr(config(), field.name)
         changed = (not value) if isinstance(value, bool) else value * 1.001 + (value == 0)
@@ -278,6 +278,6 @@ def test_settings_are_checked(name: str, value: float) -> None:
 
 def test_the_doors_own_settings_are_checked(sources) -> None:
     with pytest.raises(ValueError, match=r"position_scale_m must be positive, got 0\.0"):
-        DoorVariation(position_scale_m=0.0)
+        dataclasses.replace(VARY, scale=0.0)
     with pytest.raises(ValueError, match=r"min_progress is a hinge angle in rad below 1\.57"):
         multiply(sources, config(min_progress=1.57), VARY)
