@@ -136,7 +136,7 @@ def _template(episode: Episode, scene: HandScene, varying: Varying) -> _Template
             episode.provenance,
             f"has no {' and no '.join(name.replace('_', ' ') for name in missing)}, which "
             "multiplication needs",
-            "Re-simulate the demonstrations first (demos.resimulate=true), or store it in the file",
+            "Store it in the file; what a task can infer, replaying does (demos.resimulate=true)",
         )
     return _Template(
         actions=episode.actions.astype(np.float64).clip(-1.0, 1.0),

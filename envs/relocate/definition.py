@@ -57,6 +57,11 @@ TASK: Final = Task(
                 # Up to 31 a step, half as much again as the door's.
                 "loss.reward_scale": 0.06,
                 "loss.target_entropy": -48,  # 1.6 an action entry, as the door's
+                # A clone of these keeps the ball at its target (docs/howto/your-environment.md).
+                "demos.multiply.enabled": True,
+                "demos.multiply.target_episodes": 920,
+                "demos.multiply.max_attempts": 10_000,
+                "demos.held_out": 20,
                 # Played faster, a hand that was moved to another ball closes beside it.
                 "demos.multiply.speed_low": 0.9,
                 "demos.multiply.speed_high": 1.2,

@@ -64,6 +64,7 @@ VARYING: Final = Varying(
     progress="minus the ball's distance from its target in m",
     guided=Guided(GUIDE, offsets, follow),
     begins=begins,
+    # Also of a ball that came to its target and fell: nobody is to learn to let go of it.
     under_way=lambda observations, placement: lifted(observations, placement[TARGET_POSITION]),
     patience=30,
 )
