@@ -51,11 +51,7 @@ def open_window(simulator: HandSimulator, camera: mujoco.MjvCamera) -> Iterator[
     Raises:
         RenderingUnavailableError: the screen cannot be used, or MuJoCo is too old for it.
     """
-    if not hasattr(mujoco, "mj_copyData"):
-        raise RenderingUnavailableError(
-            f"MuJoCo {mujoco.__version__} cannot copy what a window shows: install a later one, or "
-            f"{_FILM}"
-        )
+    _require_copies()
     _require_screen()
     import mujoco.viewer  # noqa: PLC0415 - opens a library of windows
 
@@ -70,6 +66,14 @@ def open_window(simulator: HandSimulator, camera: mujoco.MjvCamera) -> Iterator[
         for name in ("lookat", "distance", "azimuth", "elevation"):
             setattr(viewer.cam, name, getattr(camera, name))
         yield HandWindow(simulator, viewer, data)
+
+
+def _require_copies() -> None:
+    if not hasattr(mujoco, "mj_copyData"):
+        raise RenderingUnavailableError(
+            f"MuJoCo {mujoco.__version__} cannot copy what a window shows: install a later one, or "
+            f"{_FILM}"
+        )
 
 
 def _require_screen() -> None:
