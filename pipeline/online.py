@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,6 @@ from torchrl.trainers import Trainer
 
 from envs import Task
 from envs.steps import counted_steps
-from envs.task import SUCCESS, has_column
 from pipeline import components
 from pipeline.act.begun import BEGUN_AT, BegunEnv
 from pipeline.data.curriculum import CurriculumEpisodes, ReverseCurriculum
@@ -39,8 +37,6 @@ from pipeline.sources import Sources, make_sources
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer
 from pipeline.updates import updates_per_portion
 from pipeline.watch.diagnostics import DemonstrationProbe, TrainingState
-
-_logger = logging.getLogger(__name__)
 
 Figures = Callable[[], Mapping[str, float]]
 
@@ -138,7 +134,7 @@ def _register(
     device, midway, stepper = recipe.device, resumes_midway(env), learner.stepper
     if learner.average is not None:
         learner.average.register(trainer)
-    backtracking = _backtracking(recipe, env, learner.actors)
+    backtracking = _backtracking(recipe, learner.actors)
     for hook in backtracking:
         hook.register(trainer)
     for one in curricula:
@@ -166,17 +162,10 @@ def _register(
     ]
 
 
-def _backtracking(recipe: Recipe, env: EnvBase, modules: list[nn.Module]) -> list[BacktrackHook]:
+def _backtracking(recipe: Recipe, modules: list[nn.Module]) -> list[BacktrackHook]:
     """The hook over ``modules``, or none."""
     backtrack = recipe.backtrack
     if backtrack.level is None:
-        return []
-    if not has_column(env, SUCCESS):
-        _logger.warning(
-            "backtrack.level=%s counts episodes that succeed, and task %s tells no success: the "
-            "actor is never taken back (task.success can tell it)",
-            backtrack.level, recipe.task.name,
-        )  # fmt: skip
         return []
     hook = BacktrackHook(modules, backtrack.level, window=backtrack.window, memory=backtrack.memory)
     return [hook]
