@@ -51,8 +51,8 @@ def open_window(simulator: HandSimulator, camera: mujoco.MjvCamera) -> Iterator[
     Raises:
         RenderingUnavailableError: the screen cannot be used, or MuJoCo is too old for it.
     """
-    _require_copies()
     _require_screen()
+    _require_copies()
     import mujoco.viewer  # noqa: PLC0415 - opens a library of windows
 
     data = simulator.data(0)

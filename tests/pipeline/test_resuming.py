@@ -13,6 +13,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torchrl.record.loggers import get_logger
 
 from configs import compose
+from envs.demonstrations import DemonstrationError
 from pipeline.build import build_run
 from pipeline.files.curves import cut_back, in_order, read_lines
 from pipeline.files.run_files import RunDirectoryError
@@ -241,6 +242,13 @@ def test_a_directory_in_use_is_refused_until_its_process_is_gone(tmp_path: Path)
             build_run(recipe_of(), run_dir)
         holder.kill()
     resumed(run_dir).train()
+
+
+def test_a_run_that_cannot_be_composed_leaves_no_directory(tmp_path: Path):
+    wrong = recipe_of("sampler.demo_ratio=0.5", f"demos.source='{tmp_path / 'nowhere'}'")
+    with pytest.raises(DemonstrationError, match="nowhere: does not exist"):
+        build_run(wrong, tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_directory_that_cannot_be_locked_is_told(tmp_path: Path):
