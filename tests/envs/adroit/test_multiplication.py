@@ -165,6 +165,17 @@ def test_the_arm_alone_is_guided_and_only_where_the_task_says(task) -> None:
         assert not clean[:, guided.guide.arm.stop :].any()
 
 
+@pytest.mark.parametrize(("task", "arm"), [("door", 4), ("hammer", 2), ("relocate", 6)])
+def test_noise_pushes_the_arm_as_far_as_the_fingers(task, arm) -> None:
+    """Its joints move 2.5 times as far as their targets, so its targets move 0.4 times as far."""
+    white = settings(task, horizon=2000, noise_scale=0.5, noise_correlation=0.0)
+    with vary_of(task).open(sources(task), white, 1) as player:
+        attempt = player.draw(0, np.ones(3))
+    noise = (attempt.executed_actions - attempt.clean_actions) / attempt.noise_scale
+    assert noise[:, :arm].std() == pytest.approx(0.4, rel=0.05)
+    assert noise[:, arm:].std() == pytest.approx(1.0, rel=0.05)
+
+
 def test_each_offset_is_followed_by_its_share() -> None:
     """Relocate's palm goes with the ball, then with the target: two parts of one sum."""
     (episode,) = sources("relocate", 1)
