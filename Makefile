@@ -91,7 +91,7 @@ help: ## print this list
 install: $(STAMP) ## create or update .venv [EXTRAS=dev,video,sweep,wandb,mlflow] [TORCH_BUILD=cpu]
 
 .PHONY: train
-train: $(STAMP) ## train a policy [TASK=door|hammer|pen|relocate|gymnasium:ID|dm_control:DOMAIN/TASK|path/to/file.py[:NAME]|...] [VARIANT=...] [PRESET=smoke|default|paper] [DEMOS=...] [RUN=dir] [RESUME=dir] [ARGS="..."]
+train: $(STAMP) ## train a policy [TASK=door|hammer|pen|relocate|gymnasium:ID|dm_control:DOMAIN/TASK|path/to/file.py[:NAME]|...] [VARIANT=...] [PRESET=smoke|default|table|paper|control] [DEMOS=...] [RUN=dir] [RESUME=dir] [ARGS="..."]
 	@$(RUN_PYTHON) -m pipeline.train $(TRAIN_ARGS)
 
 .PHONY: eval

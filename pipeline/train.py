@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import sys
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from configs import prepare, recipe_of
+from configs.known_keys import require_known
+from envs.registry import imports_of
 from envs.task import TaskFailedError
 from pipeline.build import build_run
 from pipeline.machine.disk import told
@@ -97,16 +100,25 @@ def _train(config: DictConfig, signals: Interruption) -> None:
     except Interrupted:
         frames = run.trainer.collected_frames
         print(
-            f"stopped at {frames} frames; go on with: make train RESUME={run_dir}", file=sys.stderr
+            f"stopped at {frames} frames; go on with: make train RESUME={run_dir}{named(recipe)}",
+            file=sys.stderr,
         )
         raise
-    logger.info("done; evaluate it with: make eval RUN=%s", run.run_dir)
+    logger.info("done; evaluate it with: make eval RUN=%s%s", run.run_dir, named(recipe))
+
+
+def named(recipe: Recipe) -> str:
+    """What a command on this run names again: a task that is somebody's code."""
+    theirs = imports_of(recipe.task.name)
+    return f" TASK={shlex.quote(recipe.task.name)}" if theirs else ""
 
 
 def run_command_line() -> None:
     """Makes Hydra ready for the task that the arguments name, and trains."""
     try:
-        sys.argv[1:] = prepare(sys.argv[1:])
+        prepared = prepare(sys.argv[1:])
+        require_known(prepared)
+        sys.argv[1:] = prepared
     except ValueError as error:
         sys.exit(f"error: {error}")
     with sweep():
