@@ -6,5 +6,6 @@ error.
 """
 
 from configs.composition import compose, prepare, recipe_of
+from configs.known_keys import require_known
 
-__all__ = ["compose", "prepare", "recipe_of"]
+__all__ = ["compose", "prepare", "recipe_of", "require_known"]

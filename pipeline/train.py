@@ -13,8 +13,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from configs import prepare, recipe_of
-from configs.known_keys import require_known
+from configs import prepare, recipe_of, require_known
 from envs.registry import imports_of
 from envs.task import TaskFailedError
 from pipeline.build import build_run
