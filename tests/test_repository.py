@@ -395,3 +395,11 @@ def test_ci_runs_the_same_targets_everywhere(committed_texts: dict[str, str]):
     for name in [".ci/run", ".github/workflows/check.yaml"]:
         for target in ["make check", "make smoke"]:
             assert target in committed_texts[name], f"{name} does not call `{target}`"
+
+
+def test_what_is_bundled_is_not_ignored():
+    """A clone would lack it, and only there would tests tell."""
+    bundled = sorted(ROOT.glob("envs/*/bundled/*.h5"))
+    assert bundled
+    ignored = run("git", "check-ignore", *map(str, bundled))
+    assert ignored.stdout == ""

@@ -68,6 +68,7 @@ def test_an_attempt_is_the_same_whatever_is_beside_it(task) -> None:
             for n in (4, 2)
         )
         batch = [one.draw(k, wanted) for k in range(4)]
+        assert len({str(placed_at(attempt)) for attempt in batch}) == 4, "each draws its own"
         alone = other.draw(2, wanted)
         np.testing.assert_array_equal(alone.executed_actions, batch[2].executed_actions)
         _, _, beside, _ = one.play(batch)

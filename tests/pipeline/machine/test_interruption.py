@@ -153,7 +153,7 @@ def test_a_signal_to_the_command_ends_it_in_one_line(
     _, printed = process.communicate(timeout=60)
     assert process.returncode == code
     (line,) = [one for one in printed.splitlines() if "stopped" in one]
-    assert line.endswith(f"frames; go on with: make train RESUME={run_dir}")
+    assert line.endswith(f"frames; go on with: make train RESUME={run_dir} TASK={FILE}")
     assert "Traceback" not in printed
     assert list((run_dir / "checkpoints").glob("checkpoint-*"))
 
