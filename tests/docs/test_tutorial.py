@@ -62,8 +62,8 @@ def test_a_policy_is_trained_evaluated_and_trained_further(said: dict[str, str],
 
 
 def test_the_variant_is_the_users(said: dict[str, str], folder: Path):
-    config = yaml.safe_load((folder / "runs" / "gentle" / "config.yaml").read_text())
-    assert config["variant"] == "gentle"
+    config = yaml.safe_load((folder / "runs" / "fading" / "config.yaml").read_text())
+    assert config["variant"] == "fading"
     assert config["loss"]["bc_weight"]["kind"] == "cosine"
     assert config["growth"]["self_imitation"] is True
 
