@@ -123,11 +123,15 @@ def half_written(folder: Path) -> set[Path]:
 
 
 def events_of(run_dir: Path) -> dict[str, list[tuple[int, str]]]:
-    """Scalars of TensorBoard by name, without the time, which is another one each time."""
+    """Scalars of TensorBoard by name, without the time, which is another one each time.
+
+    In order of steps: of two files that begin within one second, it reads that of the smaller
+    process number first.
+    """
     events = EventAccumulator(str(run_dir / "logs/tensorboard"), purge_orphaned_data=False)
     events.Reload()
     return {
-        tag: [(event.step, str(event.value)) for event in events.Scalars(tag)]
+        tag: sorted((event.step, str(event.value)) for event in events.Scalars(tag))
         for tag in events.Tags()["scalars"]
         if not tag.endswith("wall_s")
     }
