@@ -92,10 +92,11 @@ class Player:
         """Plays attempts together; an episode for each that succeeds, in order."""
         settings, varying = self.factory.settings, self.factory.varying
         result = play_attempts(self.simulator, attempts, settings, varying)
+        whole = result.steps == (settings.horizon or varying.task.horizon)
+        kept = accomplished(result, settings) & (whole | ended(result, settings)) & ~result.diverged
         for i, attempt in enumerate(attempts):
             source = self.episodes[attempt.source].provenance
-            kept = _succeeds(result, i, attempt, settings.min_progress)
-            yield _episode(source, attempt, result, i, varying.apart_key) if kept else None
+            yield _episode(source, attempt, result, i, varying.apart_key) if kept[i] else None
 
 
 def play_attempts(
@@ -116,19 +117,26 @@ def play_attempts(
     }
     deadline = np.array([attempt.under_way_by for attempt in attempts])[rows]
 
-    def still_promising(t: int, observations: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def still_promising(steps: int, played: Replay) -> NDArray[np.bool_]:
         # Open-loop replays that miss their object never come back to it: stop paying for them.
-        return (t < deadline) | varying.under_way(observations, placement)
+        under_way = varying.under_way(played.observations[:, steps], placement)
+        return ((steps <= deadline) | under_way) & ~ended(played, settings)
 
     return replay(simulator, actions, lengths, placement, keep_going=still_promising)
 
 
-def _succeeds(result: Replay, index: int, attempt: Attempt, goal: float | None) -> bool:
-    if result.diverged[index] or result.steps[index] < len(attempt.executed_actions):
-        return False
-    if goal is None:
-        return bool(result.success[index, 1:].any())
-    return bool(result.progress[index, 1:].max() > goal)
+def accomplished(played: Replay, settings: MultiplyConfig) -> NDArray[np.bool_]:
+    """Which attempts have done what is asked of those that are kept, [N]."""
+    if settings.min_progress is None:
+        return played.ever(played.success)
+    return played.ever(played.progress > settings.min_progress)
+
+
+def ended(played: Replay, settings: MultiplyConfig) -> NDArray[np.bool_]:
+    """Which of these have also come to where their readers end them, [N]."""
+    if settings.end_progress is None:
+        return np.zeros(len(played.steps), dtype=bool)
+    return accomplished(played, settings) & played.ever(played.progress > settings.end_progress)
 
 
 def _episode(
@@ -140,17 +148,19 @@ def _episode(
         "noise_scale": attempt.noise_scale,
         apart_key: attempt.apart,
     }
-    executed = attempt.executed_actions.clip(-1.0, 1.0)
-    noisy = not np.array_equal(executed, attempt.clean_actions)
+    steps = result.steps[index]
+    clean = attempt.clean_actions[:steps]
+    executed = attempt.executed_actions[:steps].clip(-1.0, 1.0)
+    noisy = not np.array_equal(executed, clean)
     # Copies: a kept episode must not keep the arrays of its whole round.
     return Episode(
-        observations=result.observations[index].copy(),
-        actions=attempt.clean_actions.astype(np.float32),
-        rewards=result.rewards[index].copy(),
-        terminated=result.terminated[index].copy(),
+        observations=result.observations[index, : steps + 1].copy(),
+        actions=clean.astype(np.float32),
+        rewards=result.rewards[index, :steps].copy(),
+        terminated=result.terminated[index, :steps].copy(),
         provenance=Provenance(origin.source, origin.episode, "multiplied", details),
         start=dict(attempt.placement),
-        success=result.success[index].copy(),
-        progress=result.progress[index].copy(),
+        success=result.success[index, : steps + 1].copy(),
+        progress=result.progress[index, : steps + 1].copy(),
         executed_actions=executed.astype(np.float32) if noisy else None,
     )

@@ -12,10 +12,6 @@ from envs.adroit.physics import PhysicsDivergedError
 from envs.adroit.simulator import HandSimulator
 from envs.steps import count_steps
 
-#: Called with the time step t (0-based) and the observations [N, O] after it; returns bool [N]:
-#: which copies are worth playing on.
-KeepGoing = Callable[[int, NDArray[np.float32]], NDArray[np.bool_]]
-
 
 @dataclass(frozen=True, eq=False)
 class Replay:
@@ -52,6 +48,11 @@ class Replay:
             diverged=np.zeros(copies, dtype=bool),
         )
 
+    def ever(self, holds: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Whether it held after any step that was played, [N], of [N, H + 1]."""
+        played = np.arange(holds.shape[1]) <= self.steps[:, None]
+        return (holds & played)[:, 1:].any(axis=1)
+
     def note(self, t: int, simulator: HandSimulator, active: NDArray[np.bool_]) -> None:
         """Take down where the active copies are after t steps."""
         observation = simulator.observation()
@@ -63,6 +64,10 @@ class Replay:
         if t > 0:
             self.rewards[active, t - 1] = judged.reward[active]
             self.terminated[active, t - 1] = judged.terminated[active]
+
+
+KeepGoing = Callable[[int, Replay], NDArray[np.bool_]]
+"""Which copies are worth playing on, [N], given how many steps they have made and what they did."""
 
 
 def replay(
@@ -109,6 +114,6 @@ def replay(
         played.note(t + 1, simulator, active)
         active &= (t + 1 < lengths) & ~played.terminated[:, t]
         if keep_going is not None:
-            active &= keep_going(t, played.observations[:, t + 1])
+            active &= keep_going(t + 1, played)
     count_steps(int(played.steps.sum()))
     return played

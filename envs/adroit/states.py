@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 
 from envs.adroit.hand import HandTask
+from envs.adroit.replay import Replay
 from envs.adroit.resimulation import BATCH, QPOS, QVEL, play
 from envs.adroit.simulator import HandSimulator
 from envs.demonstrations.episode import Episode
@@ -57,9 +58,9 @@ class States:
 def _states(simulator: HandSimulator, batch: Sequence[Episode]) -> list[TensorDict]:
     seen: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
 
-    def keep(_: int, observations: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def keep(_: int, played: Replay) -> NDArray[np.bool_]:
         seen.append((simulator.qpos, simulator.qvel))
-        return np.ones(len(observations), dtype=bool)
+        return np.ones(len(played.steps), dtype=bool)
 
     played = play(simulator, batch, keep)
     qpos, qvel = (np.stack(part, axis=1) for part in zip(*seen, strict=True))

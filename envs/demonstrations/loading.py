@@ -133,9 +133,10 @@ def load_demonstrations(
             notes.add(Kind.OTHER_REWARDS, others, f"{report.source}, episode {report.episode}")
     if options.multiply is not None:
         vary = task.require("vary", "demos.multiply.enabled=true")
-        used = multiply_cached(
-            used, options.multiply, vary, num_threads=num_threads, cache_dir=cache_dir
-        )
+        multiply = options.multiply
+        if options.keep_best == 1.0:  # else returns of whole episodes decide
+            multiply = dataclasses.replace(multiply, end_progress=options.end_progress)
+        used = multiply_cached(used, multiply, vary, num_threads=num_threads, cache_dir=cache_dir)
     used = highest_returns(used, options.keep_best)
     if options.end_progress is not None:
         # After the choice: returns are those of whole episodes.

@@ -20,6 +20,8 @@ class MultiplyConfig:
         min_progress: keep episodes that get beyond it within the horizon, in the task's unit; None
             keeps those that succeed. Beyond success, it leaves the policies that copy them a
             margin.
+        end_progress: play a kept episode no further than past it: what reads them makes no use of
+            the rest, which costs as many simulator steps. None plays every episode to its horizon.
         balance: no source gives more than ``balance`` times its even share of the target.
         horizon: length of every episode in steps; None is the task's own.
         round_size: attempts simulated together. Part of the result: the choice of sources adapts
@@ -37,6 +39,7 @@ class MultiplyConfig:
     noise_scale: float = 0.08
     noise_correlation: float = 0.9
     min_progress: float | None = None
+    end_progress: float | None = None
     balance: float = 1.5
     horizon: int | None = None
     round_size: int = 128

@@ -17,18 +17,23 @@ from envs.adroit.multiplication import play_attempts
 from envs.adroit.varying import Varying
 from envs.demonstrations import (
     DemonstrationError,
+    DemoOptions,
     Episode,
     MultiplyConfig,
     content_hash,
+    load_demonstrations,
     multiplication,
     multiply,
 )
 from envs.demonstrations.multiplication import cache_key, multiply_cached
+from envs.demonstrations.selection import ended_at
 from envs.door import task
+from envs.door.definition import TASK as DOOR
 from envs.door.resimulation import resimulate
 from envs.door.scene import build_scene
 from envs.door.simulator import DoorSimulator
 from envs.door.variation import VARY, VARYING
+from envs.steps import counted_steps
 from tests.demonstrations.helpers import door_of, still_episode
 
 # An angle that every closed door passes: the bookkeeping can be tested without a door opener.
@@ -159,6 +164,52 @@ def test_attempts_whose_door_stays_closed_are_given_up(sources) -> None:
     assert len(stepped) == attempt.under_way_by + 1
 
 
+@pytest.fixture(scope="module")
+def openers() -> list[Episode]:
+    return list(load_demonstrations("bundled", DOOR, DemoOptions(limit=4)).episodes)
+
+
+OPENS = {"target_episodes": 3, "round_size": 8, "min_progress": 1.0, "horizon": 200}
+
+
+@pytest.mark.parametrize("end", [0.5, 1.3])
+def test_kept_episodes_are_played_only_as_far_as_they_are_read(openers, end: float) -> None:
+    """The same as whole episodes that are cut there, for fewer steps of the simulator."""
+    with counted_steps() as all_steps:
+        whole = multiply(openers, config(**OPENS), VARY)
+    with counted_steps() as steps:
+        ended = multiply(openers, config(**OPENS, end_progress=end), VARY)
+    played = [episode.length for episode in ended]
+    assert [episode.success[-1] for episode in whole] == [True] * 3
+    assert steps.taken < all_steps.taken
+    assert max(played) < 200
+    assert content_hash(ended_at(ended, end)) == content_hash(ended_at(whole, end))
+    # One that is beyond the end goes on until it has done what is asked of it.
+    assert all(e.progress.max() > 1.0 for e in ended)
+
+
+def test_what_never_comes_to_the_end_is_played_whole(openers) -> None:
+    whole = multiply(openers, config(**OPENS), VARY)
+    ended = multiply(openers, config(**OPENS, end_progress=3.0), VARY)
+    assert content_hash(ended) == content_hash(whole)
+
+
+@pytest.mark.parametrize(("keep_best", "end"), [(1.0, 1.2), (0.5, None)])
+def test_loading_says_how_far_to_play_unless_whole_returns_are_compared(
+    keep_best: float, end: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[MultiplyConfig] = []
+
+    def multiplied(episodes: list[Episode], settings: MultiplyConfig, *_: Any, **__: Any):
+        asked.append(settings)
+        return episodes
+
+    monkeypatch.setattr("envs.demonstrations.loading.multiply_cached", multiplied)
+    options = DemoOptions(limit=2, multiply=MultiplyConfig(), keep_best=keep_best, end_progress=1.2)
+    load_demonstrations("bundled", DOOR, options)
+    assert [settings.end_progress for settings in asked] == [end]
+
+
 def test_a_source_that_never_opens_gives_no_deadline(sources) -> None:
     assert attempt_of(sources, config(horizon=60)).under_way_by == 60
 
@@ -237,8 +288,8 @@ def test_the_cache_key_holds_all_that_matters(sources, monkeypatch: pytest.Monke
     keys.add(cache_key(sources, config(), dataclasses.replace(VARY, guide_arm=False)))
     for field in dataclasses.fields(MultiplyConfig):
         value = getattr(config(), field.name)
-        changed = (not value) if isinstance(value, bool) else value * 1.001 + (value == 0)
-        if isinstance(value, int) and not isinstance(value, bool):
+        changed = 1.0 if value is None else value * 1.001 + (value == 0)
+        if isinstance(value, int):
             changed = value + 1
         keys.add(cache_key(sources, config(**{field.name: changed}), VARY))
     monkeypatch.setattr(multiplication, "CODE_VERSION", -1)

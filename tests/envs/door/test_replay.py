@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from envs.adroit.replay import Replay
 from envs.adroit.replay import replay as play
 from envs.demonstrations import DemonstrationError
 from envs.door.demos import DOOR_POSITION
@@ -47,9 +48,9 @@ def test_an_episode_that_diverges_is_an_error(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_door_may_be_abandoned() -> None:
-    def keep_going(t: int, observations: np.ndarray) -> np.ndarray:
-        assert observations.shape == (2, 38)
-        return np.array([t < 2, True])
+    def keep_going(steps: int, played: Replay) -> np.ndarray:
+        assert played.steps.tolist() == [min(steps, 3), steps]
+        return np.array([steps < 3, True])
 
     with DoorSimulator(2, num_threads=1) as simulator:
         doors = {DOOR_POSITION: np.tile(DOOR, (2, 1))}
