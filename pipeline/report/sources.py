@@ -20,6 +20,7 @@ from pipeline.files.run_files import (
     VERSIONS,
     RunDirectoryError,
 )
+from pipeline.files.run_format import CHECKPOINTS
 from pipeline.files.time_use import TIME_USE
 from pipeline.renamed import rename_keys
 from pipeline.results.evaluation_files import (
@@ -169,6 +170,7 @@ def _of_directory(path: Path) -> ReportRun:
         if lost := _unreadable(file):
             reader.missing.append(f"{file} is damaged: lines that are no row are left out: {lost}")
     episodes, progress = _tables(reader, path / EVALUATION, evaluation)
+    reader.missing.extend(_outdated(path, evaluation))
     return ReportRun(
         path=path,
         folder=_folder(path),
@@ -219,6 +221,18 @@ def _tables(reader: _Reader, path: Path, evaluation: Json | None) -> tuple[Colum
     curve = beside(path, PROGRESS_CURVE)
     progress: Columns = reader(lambda: load_columns(curve), {}) if curve.is_file() else {}
     return episodes, progress
+
+
+def _outdated(path: Path, evaluation: Json | None) -> list[str]:
+    """Whether the run has gone on since it was evaluated."""
+    judged = "" if evaluation is None else str(evaluation["made_from"].get("checkpoint", ""))
+    newest = max((found.name for found in (path / CHECKPOINTS).glob("checkpoint-*")), default="")
+    if not judged.startswith("checkpoint-") or newest <= judged:
+        return []
+    return [
+        f"{path / EVALUATION} is of {judged}, and the run has gone on to {newest}: evaluate it "
+        f"again with: make eval RUN={path}"
+    ]
 
 
 def _robustness(path: Path) -> Robustness | None:

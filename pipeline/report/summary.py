@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from envs.reference import Column, Reference
+from pipeline.literals import literal
 from pipeline.report.charts import chart
 from pipeline.report.learning import published
 from pipeline.report.numbers import HOW, estimate
@@ -18,6 +20,7 @@ from pipeline.report.plane import Spread, plane
 from pipeline.report.rows import ReportRow, different, recipe
 from pipeline.report.sources import ReportRun
 from pipeline.results.run_tables import FORMER, RETURN, cell
+from pipeline.run_dir import TASK_KEY
 
 HEADLINE = (
     Column("success_once", "success", percent=True),
@@ -220,10 +223,14 @@ def _origin(row: ReportRow, run: ReportRun) -> list[str]:
 
 def _command(run: ReportRun) -> str:
     if run.evaluation is None:
-        return f"make eval RUN={run.path}"
-    overrides = run.made_from.get("overrides") or []
-    extra = f' ARGS="{" ".join(overrides)}"' if overrides else ""
-    return f"make eval RUN={run.name} EPISODES={run.evaluation['episodes']}{extra}"
+        return f"make eval RUN={shlex.quote(str(run.path))}"
+    words = [f"make eval RUN={shlex.quote(run.name)} EPISODES={run.evaluation['episodes']}"]
+    given = run.made_from.get("overrides") or []
+    tasks = [value for key, _, value in (one.partition("=") for one in given) if key == TASK_KEY]
+    words += [f"TASK={shlex.quote(literal(value))}" for value in tasks[-1:]]
+    others = " ".join(one for one in given if not one.startswith(f"{TASK_KEY}="))
+    words += [f"ARGS={shlex.quote(others)}"] if others else []
+    return " ".join(words)
 
 
 def _revision(told: Mapping[str, Any]) -> str:
@@ -252,7 +259,11 @@ def missing(rows: Sequence[ReportRow]) -> Section | None:
     if not lines:
         return None
     return Section(
-        "missing", "What is missing", "These could not be read:", absent=lines, told=True
+        "missing",
+        "What is missing",
+        "These are not there, or not as they should be:",
+        absent=lines,
+        told=True,
     )
 
 

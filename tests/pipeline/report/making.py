@@ -54,6 +54,7 @@ def make_run(
     task: str = "door",
     frames: int = 40,
     further: dict[str, Any] | None = None,
+    overrides: tuple[str, ...] = (),
     **values: Any,
 ) -> Path:
     """An evaluated run; ``further`` is of its evaluation, ``values`` of its configuration."""
@@ -72,7 +73,7 @@ def make_run(
         "demos_sha256": "abcdef0123456789",
         "frames": frames,
         "evaluation_seed": 7,
-        "overrides": [],
+        "overrides": list(overrides),
         "versions": {"git": "0123456789abcdef", "git_dirty": True, "packages": {"torch": "2.0"}},
     }
     metrics = {**summarise(played).as_plain(), **(further or {}), "made_from": made_from}

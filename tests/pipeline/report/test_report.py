@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -266,7 +267,32 @@ def test_every_number_says_where_it_is_from(two_seeds: Report, tmp_path: Path):
     assert (found["demonstrations"], found["SHA-256"]) == ("demos.h5", "abcdef0123")
 
 
+def test_a_command_says_again_what_the_evaluation_was_told(tmp_path: Path):
+    """In words of a shell: a task of somebody's own, and settings with quotes and spaces."""
+    told = ('task.name="my tasks/lift.py:LIFT"', "evaluation.noise_scale=0.5", "env.horizon=7")
+    run = make_run(tmp_path / "my runs", overrides=told)
+    found = line(reported(run), "provenance", f"{tmp_path.name}/my runs")["again with"]
+    assert shlex.split(found) == [
+        "make", "eval", f"RUN={tmp_path.name}/my runs", "EPISODES=10",
+        "TASK=my tasks/lift.py:LIFT", "ARGS=evaluation.noise_scale=0.5 env.horizon=7",
+    ]  # fmt: skip
+
+
 # ------------------------------------------------------------------------------------ missing files
+
+
+@pytest.mark.parametrize(("newest", "outdated"), [(40, False), (80, True)])
+def test_a_run_that_went_on_since_its_evaluation_is_told(
+    tmp_path: Path, newest: int, outdated: bool
+):
+    run = make_run(tmp_path / "run")
+    for frames in (20, newest):
+        (run / "checkpoints" / f"checkpoint-{frames:012d}").mkdir(parents=True)
+    assert ("missing" in [part.key for part in reported(run).sections]) is outdated
+    if outdated:
+        (said,) = section(reported(run), "missing").absent
+        assert "is of checkpoint-000000000040, and the run has gone on to" in said
+        assert f"make eval RUN={run}" in said
 
 
 @pytest.mark.parametrize(
