@@ -112,8 +112,10 @@ class _Vary:
 class _Player:
     own: Player[Any]
 
-    def draw(self, index: int, weights: NDArray[np.float64]) -> Any:
-        return self.own.draw(index, weights)
+    def draw(
+        self, index: int, weights: NDArray[np.float64], speeds: NDArray[np.float64] | None = None
+    ) -> Any:
+        return self.own.draw(index, weights, speeds)
 
     def play(self, attempts: Sequence[Any]) -> Iterator[Episode | None]:
         for episode in self.own.play(attempts):

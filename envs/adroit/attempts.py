@@ -86,23 +86,30 @@ class AttemptFactory:
         templates = tuple(_template(episode, scene, varying) for episode in episodes)
         return cls(varying, templates, servo_compliance(scene), settings, scale)
 
-    def draw(self, index: int, weights: NDArray[np.float64]) -> Attempt:
+    def draw(
+        self, index: int, weights: NDArray[np.float64], speeds: NDArray[np.float64] | None = None
+    ) -> Attempt:
         """Attempt number ``index``, the same for the same index, seed and weights.
 
         Args:
             index: number of the attempt.
             weights: [sources], not negative; multiplied by the nearness of each source's start.
+            speeds: [sources, parts], not negative, of equal parts of the range of speeds; None is
+                alike.
         """
         settings, varying = self.settings, self.varying
         horizon = settings.horizon or varying.task.horizon
         # A stream of its own per attempt: batches and threads cannot change what is drawn.
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(index,)))
         placement = varying.task.draw(rng)
-        speed = float(rng.uniform(settings.speed_low, settings.speed_high))
+        pace = rng.uniform()
         noise_scale = float(rng.uniform(0.0, settings.noise_scale))
         apart = np.array([varying.apart(one.placement, placement) for one in self.templates])
         source = choose(rng, apart, weights, self.scale)
         template = self.templates[source]
+        if speeds is not None:
+            pace = share_below(pace, speeds[source])
+        speed = float(settings.speed_low + (settings.speed_high - settings.speed_low) * pace)
 
         actions = template.actions
         if varying.guided is not None:
@@ -154,6 +161,18 @@ def _action_per_metre(
     before = episode.observations[:-1]
     shares = guided.follow(episode)
     return tuple(guided.guide.action_per_metre(scene, before, share) for share in shares)
+
+
+def share_below(pace: float, weights: NDArray[np.float64]) -> float:
+    """Turns a uniform number in [0, 1) into one that lies in equal parts of it as often as wanted.
+
+    Args:
+        pace: a uniform draw.
+        weights: [parts], not negative and not all zero.
+    """
+    bounds = np.linspace(0.0, 1.0, len(weights) + 1)
+    below = np.concatenate([[0.0], np.cumsum(weights / weights.sum())])
+    return float(np.interp(pace, below, bounds))
 
 
 def choose(

@@ -84,9 +84,11 @@ class Player:
     factory: AttemptFactory
     episodes: tuple[Episode, ...]
 
-    def draw(self, index: int, weights: NDArray[np.float64]) -> Attempt:
+    def draw(
+        self, index: int, weights: NDArray[np.float64], speeds: NDArray[np.float64] | None = None
+    ) -> Attempt:
         """See `AttemptFactory.draw`."""
-        return self.factory.draw(index, weights)
+        return self.factory.draw(index, weights, speeds)
 
     def play(self, attempts: Sequence[Attempt]) -> Iterator[Episode | None]:
         """Plays attempts together; an episode for each that succeeds, in order."""

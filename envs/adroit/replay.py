@@ -51,7 +51,7 @@ class Replay:
     def ever(self, holds: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether it held after any step that was played, [N], of [N, H + 1]."""
         played = np.arange(holds.shape[1]) <= self.steps[:, None]
-        return (holds & played)[:, 1:].any(axis=1)
+        return np.asarray((holds & played)[:, 1:].any(axis=1))
 
     def note(self, t: int, simulator: HandSimulator, active: NDArray[np.bool_]) -> None:
         """Take down where the active copies are after t steps."""

@@ -51,6 +51,11 @@ class Attempt(Protocol):
         """Index of the episode that is varied."""
         ...
 
+    @property
+    def speed(self) -> float:
+        """Relative to the recording."""
+        ...
+
 
 A = TypeVar("A", bound=Attempt)
 
@@ -58,12 +63,16 @@ A = TypeVar("A", bound=Attempt)
 class Player(Protocol[A]):
     """Draws variations of given episodes and plays them."""
 
-    def draw(self, index: int, weights: NDArray[np.float64]) -> A:
+    def draw(
+        self, index: int, weights: NDArray[np.float64], speeds: NDArray[np.float64] | None = None
+    ) -> A:
         """Attempt number ``index``, the same for the same index, settings and weights.
 
         Args:
             index: number of the attempt.
             weights: [sources], not negative: how much each source is wanted.
+            speeds: [sources, parts], not negative: how much each of these equal parts of the range
+                of speeds is wanted of a source; None is alike.
         """
         ...
 
@@ -120,7 +129,7 @@ def multiply(
         DemonstrationError: an episode lacks what varying it needs, or no attempt succeeds.
     """
     kept: list[Episode] = []
-    tally = _Tally.empty(len(episodes), config)
+    tally = Tally.empty(len(episodes), config)
     attempts = 0
     tenths = 0
     _logger.info(
@@ -130,12 +139,12 @@ def multiply(
     with vary.open(episodes, config, num_threads) as player:
         while len(kept) < config.target_episodes and attempts < config.max_attempts:
             size = tally.next_round(config.target_episodes - len(kept), config.max_attempts)
-            weights = tally.weights()
-            batch = [player.draw(attempts + k, weights) for k in range(size)]
+            weights, speeds = tally.weights(), tally.speeds()
+            batch = [player.draw(attempts + k, weights, speeds) for k in range(size)]
             attempts += size
             for attempt, episode in zip(batch, player.play(batch), strict=True):
                 wanted = tally.room_for(attempt.source) and len(kept) < config.target_episodes
-                tally.record(attempt.source, tried=True, kept=episode is not None and wanted)
+                tally.record(attempt, kept=episode is not None and wanted)
                 if episode is not None and wanted:
                     kept.append(episode)
             if 10 * len(kept) // config.target_episodes > tenths:
@@ -229,37 +238,74 @@ def _goal(config: MultiplyConfig) -> str:
 
 
 @dataclass
-class _Tally:
-    """Attempts and kept episodes per source, and what follows for the next round."""
+class Tally:
+    """Attempts and kept episodes, and what follows for the next round.
+
+    Attributes:
+        tried: [sources, parts of the range of speeds].
+        kept: likewise.
+        cap: episodes that a source gives at most.
+        config: what is tried.
+    """
 
     tried: NDArray[np.int64]
     kept: NDArray[np.int64]
     cap: int
-    round_size: int
+    config: MultiplyConfig
 
     @classmethod
-    def empty(cls, sources: int, config: MultiplyConfig) -> _Tally:
+    def empty(cls, sources: int, config: MultiplyConfig) -> Tally:
+        """Of nothing tried yet.
+
+        Raises:
+            DemonstrationError: there are no sources.
+        """
         if sources == 0:
             raise DemonstrationError("multiplication", "got no episodes", "Check the source")
         cap = int(np.ceil(config.balance * config.target_episodes / sources))
-        zeros = np.zeros(sources, dtype=np.int64)
-        return cls(zeros, zeros.copy(), cap, config.round_size)
+        zeros = np.zeros((sources, config.speed_bins), dtype=np.int64)
+        return cls(zeros, zeros.copy(), cap, config)
 
     def room_for(self, source: int) -> bool:
-        return bool(self.kept[source] < self.cap)
+        """Whether another episode of a source would be kept."""
+        return bool(self.kept[source].sum() < self.cap)
 
-    def record(self, source: int, *, tried: bool, kept: bool) -> None:
-        self.tried[source] += tried
-        self.kept[source] += kept
+    def record(self, attempt: Attempt, *, kept: bool) -> None:
+        """Notes one attempt."""
+        at = attempt.source, self._part(attempt.speed)
+        self.tried[at] += 1
+        self.kept[at] += kept
 
     def weights(self) -> NDArray[np.float64]:
         """Weight [sources]: what is still missing, times how often the source succeeds."""
-        # Laplace's estimate starts at 1/2, so that every source is tried before it is judged.
-        success = (self.kept + 1.0) / (self.tried + 2.0)
-        return (self.cap - self.kept) / self.cap * success
+        missing = (self.cap - self.kept.sum(axis=1)) / self.cap
+        return np.asarray(missing * self._success())
+
+    def speeds(self) -> NDArray[np.float64]:
+        """Weight [sources, parts]: the square of how often the source succeeds there.
+
+        A part that was hardly tried is taken for the average of its source. To only succeed, the
+        best part alone would do; a policy is to see all speeds.
+        """
+        average = self._success()[:, None]
+        found = (self.kept + _AS_MANY * average) / (self.tried + _AS_MANY)
+        return np.asarray(found**2)
 
     def next_round(self, missing: int, max_attempts: int) -> int:
         """Attempts to make next: about as many as the missing episodes will need."""
         success = (self.kept.sum() + 1.0) / (self.tried.sum() + 2.0)
         needed = int(np.ceil(missing / success))
-        return max(1, min(self.round_size, needed, max_attempts - int(self.tried.sum())))
+        return max(1, min(self.config.round_size, needed, max_attempts - int(self.tried.sum())))
+
+    def _success(self) -> NDArray[np.float64]:
+        # Laplace's estimate starts at 1/2, so that every source is tried before it is judged.
+        return np.asarray((self.kept.sum(axis=1) + 1.0) / (self.tried.sum(axis=1) + 2.0))
+
+    def _part(self, speed: float) -> int:
+        low, high = self.config.speed_low, self.config.speed_high
+        share = 0.0 if low == high else (speed - low) / (high - low)
+        return min(int(share * self.config.speed_bins), self.config.speed_bins - 1)
+
+
+_AS_MANY = 2.0
+"""Attempts that the average of a source stands for in each part of its speeds."""

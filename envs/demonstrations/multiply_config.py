@@ -14,6 +14,8 @@ class MultiplyConfig:
         max_attempts: give up after so many attempts.
         speed_low: slowest replay, relative to the recording.
         speed_high: fastest replay.
+        speed_bins: equal parts of that range of speeds, each tried in proportion to the square of
+            how often its source succeeds in it; 1 tries all speeds alike.
         noise_scale: largest standard deviation of the executed noise, in half-ranges of the
             actions; each attempt draws its own uniformly from [0, noise_scale].
         noise_correlation: of the noise between consecutive steps, in [0, 1).
@@ -36,6 +38,7 @@ class MultiplyConfig:
     max_attempts: int = 4000
     speed_low: float = 1.1
     speed_high: float = 1.6
+    speed_bins: int = 1
     noise_scale: float = 0.08
     noise_correlation: float = 0.9
     min_progress: float | None = None
@@ -51,6 +54,7 @@ class MultiplyConfig:
             "max_attempts": self.max_attempts >= 1,
             "speed_low": self.speed_low > 0,
             "speed_high": self.speed_high >= self.speed_low,
+            "speed_bins": self.speed_bins >= 1,
             "noise_scale": self.noise_scale >= 0,
             "noise_correlation": 0 <= self.noise_correlation < 1,
             "balance": self.balance >= 1,

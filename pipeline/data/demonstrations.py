@@ -41,6 +41,8 @@ class MultiplySettings:
     noise_scale: Rate = 0.08  # largest AR(1) action noise that is executed but not recorded
     speed_low: Positive = 1.1  # slowest playback speed (1 = as recorded)
     speed_high: Positive = 1.6
+    # Equal parts of that range; those in which a demonstration succeeds are tried more often.
+    speed_bins: Count = 1  # 1 = all speeds alike
     min_progress: float | None = None  # what an attempt must get beyond; None = success
 
     def config(self) -> MultiplyConfig | None:
@@ -54,6 +56,7 @@ class MultiplySettings:
             noise_scale=self.noise_scale,
             speed_low=self.speed_low,
             speed_high=self.speed_high,
+            speed_bins=self.speed_bins,
             min_progress=self.min_progress,
         )
 

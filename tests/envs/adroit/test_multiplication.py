@@ -83,6 +83,32 @@ def test_an_attempt_is_the_same_whatever_is_beside_it(task) -> None:
         assert placed_at(player.draw(2, wanted)) != placed_at(alone)
 
 
+def test_speeds_are_drawn_as_often_as_they_are_wanted() -> None:
+    """Of the three parts of [1, 1.6] a quarter, none and three quarters, alike within each."""
+    wanted = np.array([[1.0, 0.0, 3.0], [1.0, 1.0, 1.0], [0.0, 1.0, 0.0]])
+    config = settings("pen", speed_low=1.0, speed_high=1.6)
+    with vary_of("pen").open(sources("pen"), config, 1) as player:
+        drawn = [player.draw(k, np.ones(3), wanted) for k in range(900)]
+        alike = [player.draw(k, np.ones(3)) for k in range(900)]
+        equal = [player.draw(k, np.ones(3), np.ones((3, 5))) for k in range(20)]
+    of = {s: np.array([one.speed for one in drawn if one.source == s]) for s in range(3)}
+    slow = of[0] < 1.2
+    assert not ((of[0] > 1.2 + 1e-9) & (of[0] < 1.4 - 1e-9)).any()
+    assert slow.mean() == pytest.approx(0.25, abs=0.09)
+    assert of[0][slow].mean() == pytest.approx(1.1, abs=0.03)
+    assert of[0][~slow].mean() == pytest.approx(1.5, abs=0.03)
+    assert of[1].mean() == pytest.approx(1.3, abs=0.04)
+    assert (of[2].min(), of[2].max()) == (
+        pytest.approx(1.2, abs=0.01),
+        pytest.approx(1.4, abs=0.01),
+    )
+    assert np.mean([one.speed for one in alike]) == pytest.approx(1.3, abs=0.03)
+    # Nothing else of an attempt depends on it.
+    assert [one.source for one in drawn] == [one.source for one in alike]
+    assert [placed_at(one) for one in drawn] == [placed_at(one) for one in alike]
+    np.testing.assert_allclose([one.speed for one in equal], [one.speed for one in alike[:20]])
+
+
 def placed_at(attempt: Attempt) -> dict[str, list[float]]:
     return {name: values.tolist() for name, values in attempt.placement.items()}
 

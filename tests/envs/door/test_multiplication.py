@@ -314,6 +314,7 @@ def test_needs_episodes() -> None:
         ("max_attempts", 0),
         ("speed_low", 0.0),
         ("speed_high", 1.0),
+        ("speed_bins", 0),
         ("noise_scale", -0.1),
         ("noise_correlation", 1.0),
         ("balance", 0.9),
