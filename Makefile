@@ -102,6 +102,10 @@ eval: $(STAMP) ## evaluate RUN=dir over its task's fixed episodes [EPISODES=1000
 robust: $(STAMP) ## play RUN=dir under noise, delays, other models and starts, and say what breaks it [EPISODES=200] [BAR=0.9] [ONLY=delay,mass] [TASK=...] [OUT=dir]
 	@$(RUN_PYTHON) -m pipeline.cli robust $(call quoted,RUN) $(TASK_ARGS) $(EPISODE_ARGS) $(if $(BAR),--bar $(BAR)) $(if $(ONLY),--only $(call quoted,ONLY)) $(OUT_ARGS) $(ARGS)
 
+.PHONY: settings
+settings: $(STAMP) ## every key of a run and what it means, or those about FIND="multiply speed"
+	@$(RUN_PYTHON) -m pipeline.cli settings $(FIND)
+
 .PHONY: table
 table: $(STAMP) ## RUNS="dir dir ..." beside the paper's Tables I and II [OUT=file]
 	@$(RUN_PYTHON) -m pipeline.cli table $(RUNS) $(OUT_ARGS) $(ARGS)

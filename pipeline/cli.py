@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,6 +23,7 @@ from pipeline.commands.play import play as play_episodes
 from pipeline.commands.record import record_demonstrations
 from pipeline.commands.robust import BAR, robustness
 from pipeline.commands.robust import EPISODES as EPISODES_A_SETTING
+from pipeline.commands.settings import about
 from pipeline.files.run_files import EVALUATION, as_json, write_atomically
 from pipeline.film.choice import Choice
 from pipeline.machine.extras import require_extras
@@ -102,6 +104,19 @@ def robust(
     found.write(folder)
     typer.echo(found.markdown())
     typer.echo(f"written to {folder / ROBUSTNESS}")
+
+
+@app.command("settings")
+def settings(
+    words: Annotated[
+        list[str] | None, typer.Argument(help="A section, a part of a key, a word of its meaning.")
+    ] = None,
+) -> None:
+    """Settings of a run: key, values, default and what it means; all, or those about WORDS."""
+    for setting in about(words or []):
+        typer.echo(f"{setting.key}: {setting.kind} = {setting.default}")
+        if setting.meaning:
+            typer.echo(textwrap.indent(textwrap.fill(setting.meaning, 92), "    "))
 
 
 @app.command("table")

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import Final
 
-LITERAL: Final = frozenset({"run_dir", "resume", "task.name", "demos.source", "cache_dir"})
+TASK_KEY: Final = "task.name"
+LITERAL: Final = frozenset({"run_dir", "resume", TASK_KEY, "demos.source", "cache_dir"})
 """Keys of such values."""
 
 

@@ -24,12 +24,11 @@ from pipeline.files.run_files import (
 )
 from pipeline.files.run_format import latest_of, require_plain
 from pipeline.files.run_lock import is_locked
-from pipeline.literals import LITERAL, literal
+from pipeline.literals import LITERAL, TASK_KEY, literal
 from pipeline.recipe import Recipe
 from pipeline.renamed import rename_keys, rename_overrides
 from pipeline.settings import SettingsError, plain
 
-TASK_KEY = "task.name"
 DEPTH = 32
 """Of the deepest nesting that is read."""
 HISTORY = "history"

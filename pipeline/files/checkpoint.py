@@ -24,7 +24,8 @@ from torchrl.envs import EnvBase
 from torchrl.trainers import Trainer
 
 from pipeline.files.rotation import SummedCheckpoint
-from pipeline.files.run_format import CHECKPOINTS, latest_of, verify_checkpoint
+from pipeline.files.run_files import CHECKPOINTS
+from pipeline.files.run_format import latest_of, verify_checkpoint
 from pipeline.files.sums import DamagedError
 
 _logger = logging.getLogger(__name__)

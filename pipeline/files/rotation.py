@@ -14,7 +14,8 @@ from typing import Any
 
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 
-from pipeline.files.run_format import CHECKPOINTS, SUMMED
+from pipeline.files.run_files import CHECKPOINTS
+from pipeline.files.run_format import SUMMED
 from pipeline.files.sealing import Sealing
 from pipeline.files.sums import SUMS, replace_folder, write_sums
 

@@ -20,6 +20,7 @@ PLACES = ("run_dir", "resume")
 """Keys of a command line that say where a run is and not what it is."""
 VERSIONS = "versions.json"
 LEARNING_CURVE = "learning_curve.jsonl"
+CHECKPOINTS = "checkpoints"
 ALARMS = "alarms.jsonl"
 EVALUATION = "evaluation.json"
 TRUST = "TRUST"

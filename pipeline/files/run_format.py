@@ -19,11 +19,11 @@ from typing import Any, Final
 
 import torch
 
+from pipeline.files.run_files import CHECKPOINTS
 from pipeline.files.sums import SUMS, DamagedError, verify_sums
 
 _logger = logging.getLogger(__name__)
 
-CHECKPOINTS: Final = "checkpoints"
 MANIFEST: Final = "manifest.json"
 NAME: Final = re.compile(r"checkpoint-\d+")
 COMPONENT: Final = re.compile(r"components/\d+-[\w.]+")

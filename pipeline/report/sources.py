@@ -13,6 +13,7 @@ import yaml
 from pipeline.files.curves import read_lines
 from pipeline.files.run_files import (
     ALARMS,
+    CHECKPOINTS,
     CONFIG,
     EVALUATION,
     LEARNING_CURVE,
@@ -20,7 +21,6 @@ from pipeline.files.run_files import (
     VERSIONS,
     RunDirectoryError,
 )
-from pipeline.files.run_format import CHECKPOINTS
 from pipeline.files.time_use import TIME_USE
 from pipeline.renamed import rename_keys
 from pipeline.results.evaluation_files import (

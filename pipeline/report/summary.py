@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from envs.reference import Column, Reference
-from pipeline.literals import literal
+from pipeline.literals import TASK_KEY, literal
 from pipeline.report.charts import chart
 from pipeline.report.learning import published
 from pipeline.report.numbers import HOW, estimate
@@ -20,7 +20,6 @@ from pipeline.report.plane import Spread, plane
 from pipeline.report.rows import ReportRow, different, recipe
 from pipeline.report.sources import ReportRun
 from pipeline.results.run_tables import FORMER, RETURN, cell
-from pipeline.run_dir import TASK_KEY
 
 HEADLINE = (
     Column("success_once", "success", percent=True),

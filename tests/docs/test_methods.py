@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from docs.site import new_page, settings, variants
+from docs.site import new_page, variants
 from docs.site.links import LINK
 from docs.site.page import Page
 from docs.site.places import DOCS, ROOT, pages
 from docs.site.symbols import lines
+from pipeline.commands import settings
 from pipeline.renamed import RENAMED
 
 PAGES = [path for path in sorted((DOCS / "methods").glob("*.md")) if path.name != "README.md"]

@@ -8,12 +8,13 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
-from docs.site import check, commands, deviations, evaluation_figures, navigation, settings, symbols
+from docs.site import check, commands, deviations, evaluation_figures, navigation, symbols
 from docs.site.links import DeadLinkError, Linker, source_page
 from docs.site.page import Page
 from docs.site.places import ROOT, pages, relative
 from envs.door.metrics import DoorMetrics
 from pipeline.act.metrics import EpisodeMetrics
+from pipeline.commands import settings
 from pipeline.recipe import Recipe
 
 MAKEFILE = (ROOT / "Makefile").read_text()

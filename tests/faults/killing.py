@@ -19,7 +19,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from pipeline.files.checkpoint import latest_checkpoint
-from pipeline.files.run_format import CHECKPOINTS
+from pipeline.files.run_files import CHECKPOINTS
 from pipeline.policy import load_policy
 from pipeline.run_dir import load_recipe
 from tests.pipeline.resuming import curve_of, differences
