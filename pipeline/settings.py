@@ -25,6 +25,7 @@ NotNegative = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0.0)]
 Rate = Annotated[float, Field(ge=0.0)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Multiple = Annotated[float, Field(ge=1.0)]
 Widths = Annotated[tuple[Count, ...], Field(min_length=1)]
 
 Section = TypeVar("Section")

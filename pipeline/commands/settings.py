@@ -21,6 +21,7 @@ from pipeline.recipe import Recipe
 
 TYPES = {
     "Count": "int >= 1",
+    "Multiple": "float >= 1",
     "NotNegative": "int >= 0",
     "Positive": "float > 0",
     "Rate": "float >= 0",

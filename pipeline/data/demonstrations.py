@@ -25,7 +25,7 @@ from envs.steps import counted_steps
 from pipeline.data.returns import TO_END
 from pipeline.data.rows import TransitionRows
 from pipeline.learn.networks import ObservationNormalizer
-from pipeline.settings import STRICT, Count, NotNegative, Positive, Rate, Share
+from pipeline.settings import STRICT, Count, Multiple, NotNegative, Positive, Rate, Share
 
 _logger = logging.getLogger(__name__)
 
@@ -43,6 +43,9 @@ class MultiplySettings:
     speed_high: Positive = 1.6
     # Equal parts of that range; those in which a demonstration succeeds are tried more often.
     speed_bins: Count = 1  # 1 = all speeds alike
+    # No demonstration gives more than so many times its even share. A larger one takes fewer
+    # attempts, since demonstrations that hardly ever succeed are needed less.
+    balance: Multiple = 1.5
     min_progress: float | None = None  # what an attempt must get beyond; None = success
 
     def config(self) -> MultiplyConfig | None:
@@ -57,6 +60,7 @@ class MultiplySettings:
             speed_low=self.speed_low,
             speed_high=self.speed_high,
             speed_bins=self.speed_bins,
+            balance=self.balance,
             min_progress=self.min_progress,
         )
 
