@@ -129,9 +129,11 @@ def play_attempts(
 
 def accomplished(played: Replay, settings: MultiplyConfig) -> NDArray[np.bool_]:
     """Which attempts have done what is asked of those that are kept, [N]."""
-    if settings.min_progress is None:
-        return played.ever(played.success)
-    return played.ever(played.progress > settings.min_progress)
+    goal = settings.min_progress
+    there = played.success if goal is None else played.progress > goal
+    if settings.hold:
+        return np.asarray(there[np.arange(len(there)), played.steps] & (played.steps > 0))
+    return played.ever(there)
 
 
 def ended(played: Replay, settings: MultiplyConfig) -> NDArray[np.bool_]:

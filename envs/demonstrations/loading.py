@@ -134,7 +134,8 @@ def load_demonstrations(
     if options.multiply is not None:
         vary = task.require("vary", "demos.multiply.enabled=true")
         multiply = options.multiply
-        if options.keep_best == 1.0:  # else returns of whole episodes decide
+        # Else returns of whole episodes decide, or their last steps.
+        if options.keep_best == 1.0 and not multiply.hold:
             multiply = dataclasses.replace(multiply, end_progress=options.end_progress)
         used = multiply_cached(used, multiply, vary, num_threads=num_threads, cache_dir=cache_dir)
     used = highest_returns(used, options.keep_best)

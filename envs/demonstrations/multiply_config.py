@@ -22,6 +22,8 @@ class MultiplyConfig:
         min_progress: keep episodes that get beyond it within the horizon, in the task's unit; None
             keeps those that succeed. Beyond success, it leaves the policies that copy them a
             margin.
+        hold: keep only episodes that are where they were to get to at their last step too: what
+            passes a goal in a swing is not shown.
         end_progress: play a kept episode no further than past it: what reads them makes no use of
             the rest, which costs as many simulator steps. None plays every episode to its horizon.
         balance: no source gives more than ``balance`` times its even share of the target.
@@ -31,7 +33,7 @@ class MultiplyConfig:
         seed: of everything random.
 
     Raises:
-        ValueError: a value is out of its range.
+        ValueError: a value is out of its range, or ``hold`` is asked of episodes that end early.
     """
 
     target_episodes: int = 350
@@ -42,6 +44,7 @@ class MultiplyConfig:
     noise_scale: float = 0.08
     noise_correlation: float = 0.9
     min_progress: float | None = None
+    hold: bool = False
     end_progress: float | None = None
     balance: float = 1.5
     horizon: int | None = None
@@ -61,6 +64,7 @@ class MultiplyConfig:
             "horizon": self.horizon is None or self.horizon >= 1,
             "round_size": self.round_size >= 1,
             "seed": self.seed >= 0,
+            "end_progress": self.end_progress is None or not self.hold,
         }
         for name, holds in requirements.items():
             if not holds:

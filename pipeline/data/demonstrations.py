@@ -48,6 +48,8 @@ class MultiplySettings:
     balance: Multiple = 1.5
     min_progress: float | None = None  # what an attempt must get beyond; None = success
 
+    hold: bool = False  # they are a success, or beyond min_progress, at their last step too
+
     def config(self) -> MultiplyConfig | None:
         """What multiplication takes; None if it is off."""
         if not self.enabled:
@@ -62,6 +64,7 @@ class MultiplySettings:
             speed_bins=self.speed_bins,
             balance=self.balance,
             min_progress=self.min_progress,
+            hold=self.hold,
         )
 
 

@@ -169,14 +169,24 @@ def test_a_source_that_never_gets_there_gives_no_deadline() -> None:
             assert player.draw(0, np.ones(1)).under_way_by == 60
 
 
-def test_what_is_kept_succeeds_and_the_rest_does_not() -> None:
-    """An open hand that holds still points the pen where it is asked to in a few starts."""
-    settings = MultiplyConfig(noise_scale=0.0, horizon=20, round_size=60)
-    with of_pen.VARY.open([seen("pen", 20)], settings, 1) as player:
+@pytest.mark.parametrize("min_progress", [None, 0.9])
+@pytest.mark.parametrize("hold", [False, True])
+def test_what_is_kept_succeeds_and_the_rest_does_not(
+    hold: bool, min_progress: float | None
+) -> None:
+    """An open hand that only trembles points the pen where it is asked to in a few starts."""
+    settings = MultiplyConfig(
+        noise_scale=0.6, horizon=30, round_size=60, hold=hold, min_progress=min_progress
+    )
+    with of_pen.VARY.open([seen("pen", 30)], settings, 1) as player:
         attempts = [player.draw(k, np.ones(1)) for k in range(60)]
         result = play_attempts(player.simulator, attempts, settings, of_pen.VARYING)
         kept = list(player.play(attempts))
-    whole = result.steps == 20
-    expected = whole & pen.success(result.observations[:, 1:]).any(axis=1)
+    whole = result.steps == 30
+    there = pen.success(result.observations[:, 1:])
+    if min_progress is not None:
+        there = result.progress[:, 1:] > min_progress
+    once, held = whole & there.any(axis=1), whole & there[:, -1]
+    expected = held if hold else once
     assert [episode is not None for episode in kept] == expected.tolist()
-    assert 0 < expected.sum() < whole.sum()
+    assert 0 < held.sum() < once.sum() < whole.sum()

@@ -194,9 +194,11 @@ def test_what_never_comes_to_the_end_is_played_whole(openers) -> None:
     assert content_hash(ended) == content_hash(whole)
 
 
-@pytest.mark.parametrize(("keep_best", "end"), [(1.0, 1.2), (0.5, None)])
-def test_loading_says_how_far_to_play_unless_whole_returns_are_compared(
-    keep_best: float, end: float | None, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("keep_best", "hold", "end"), [(1.0, False, 1.2), (0.5, False, None), (1.0, True, None)]
+)
+def test_loading_says_how_far_to_play_unless_whole_episodes_are_judged(
+    keep_best: float, hold: bool, end: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[MultiplyConfig] = []
 
@@ -205,7 +207,9 @@ def test_loading_says_how_far_to_play_unless_whole_returns_are_compared(
         return episodes
 
     monkeypatch.setattr("envs.demonstrations.loading.multiply_cached", multiplied)
-    options = DemoOptions(limit=2, multiply=MultiplyConfig(), keep_best=keep_best, end_progress=1.2)
+    options = DemoOptions(
+        limit=2, multiply=MultiplyConfig(hold=hold), keep_best=keep_best, end_progress=1.2
+    )
     load_demonstrations("bundled", DOOR, options)
     assert [settings.end_progress for settings in asked] == [end]
 
@@ -321,11 +325,12 @@ def test_needs_episodes() -> None:
         ("horizon", 0),
         ("round_size", 0),
         ("seed", -1),
+        ("end_progress", 1.0),
     ],
 )
 def test_settings_are_checked(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name} = {value}"):
-        MultiplyConfig(**{name: value})
+        MultiplyConfig(**{"hold": True, name: value})
 
 
 def test_the_doors_own_settings_are_checked(sources) -> None:
