@@ -34,6 +34,18 @@ def test_multiplied_episodes_pay_it_and_are_cached_apart(tmp_path):
         assert (set(paid.tolist()) <= {-1.0, 0.0}) == (kind == "sparse")
 
 
+def test_the_same_speeds_are_tried_for_it():
+    options = DemoOptions(limit=2, resimulate=False)
+    episodes = load_demonstrations("bundled", find_task("door"), options).episodes
+    wanted, slow_half = np.ones(2), np.array([[1.0, 0.0], [1.0, 0.0]])
+    drawn = []
+    for kind in (None, "sparse"):
+        with rewarded(find_task("door"), kind).vary.open(episodes, MULTIPLY, 1) as player:
+            drawn.append([player.draw(k, wanted, slow_half).speed for k in range(8)])
+    assert drawn[0] == drawn[1]
+    assert max(drawn[1]) <= (MULTIPLY.speed_low + MULTIPLY.speed_high) / 2
+
+
 def test_a_recipe_names_it():
     recipe = Recipe().changed(env={"reward": "sparse"})
     for made in (recipe, Recipe.of(recipe.plain(), "saved")):

@@ -58,3 +58,12 @@ def test_a_door_may_be_abandoned() -> None:
         result = play(simulator, np.zeros((2, 5, 28)), lengths, doors, keep_going=keep_going)
     assert result.steps.tolist() == [3, 5]
     assert not result.observations[0, 4:].any()
+
+
+def test_only_what_was_played_after_the_start_counts() -> None:
+    """Three copies of at most three steps, of which 1, 3 and 2 were played."""
+    played = Replay.empty(3, 3, 38)
+    played.steps[:] = [1, 3, 2]
+    holds = np.array([[0, 0, 1, 1], [1, 0, 0, 0], [0, 0, 1, 0]], dtype=bool)
+    # Of the first it holds where nothing was played, of the second only before its first step.
+    assert played.ever(holds).tolist() == [False, False, True]
