@@ -14,7 +14,9 @@ from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 from torch._decomp import get_decompositions
 from torch._inductor.exc import InductorError
+from torch._subclasses import FakeTensorMode
 from torch.fx.experimental.proxy_tensor import make_fx
+from torch.fx.experimental.symbolic_shapes import ShapeEnv
 
 from pipeline.machine.cuda_graphs import Update
 from pipeline.machine.random_state import kept_random_state
@@ -147,10 +149,13 @@ def _compiled(graph: torch.fx.GraphModule, values: Sequence[Tensor]) -> Callable
     for node in graph.graph.nodes:
         # The tracer's accounts of the values do not go together; Inductor makes its own.
         node.meta.pop("val", None)
+    # Inductor keeps what it made for the next run where it knows that shapes are of one kind.
+    shapes = FakeTensorMode(shape_env=ShapeEnv(), static_shapes=True)
+    given = [shapes.from_tensor(value, static_shapes=True) for value in values]
     if values[0].device.type == "cpu":
         with suppress(InductorError):
-            return torch._inductor.compile(graph, [*values], options=OPTIONS | FROM_CPP)
-    return torch._inductor.compile(graph, [*values], options=OPTIONS)
+            return torch._inductor.compile(graph, given, options=OPTIONS | FROM_CPP)
+    return torch._inductor.compile(graph, given, options=OPTIONS)
 
 
 def _compute_once(graph: torch.fx.Graph) -> None:

@@ -5,6 +5,8 @@ Both sides compute in float64, where rounding does not grow over the updates.
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable, Iterator
 from copy import deepcopy
 from functools import partial
 from pathlib import Path
@@ -13,6 +15,8 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
+from torch._dynamo.utils import counters
+from torch._inductor.utils import fresh_cache
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from losses import BCSACLoss
@@ -141,6 +145,52 @@ def test_each_layout_of_batch_is_compiled_once(monkeypatch: pytest.MonkeyPatch):
             assert found["rows"] == rows
             assert torch.equal(found["double"], 2 * batch["x"])
     assert traced == [torch.Size([3]), torch.Size([5])]
+
+
+@needs_compiler
+def test_what_one_run_compiled_serves_the_next(entries: Callable[[], tuple[int, int]]):
+    """With the numbers of the next: those that the update finds outside of batch and state."""
+
+    def scaled_by(scale: Tensor) -> Compiled:
+        return Compiled(lambda batch: {"scaled": batch["x"] * scale})
+
+    batch = TensorDict({"x": torch.ones(3)}, [3])
+    for run, size in enumerate([2.0, 5.0]):
+        scale = torch.full((3,), size)
+        scaled = scaled_by(scale)
+        assert scaled(batch)["scaled"].tolist() == [size] * 3
+        scale.fill_(7.0)
+        assert scaled(batch)["scaled"].tolist() == [7.0] * 3
+        assert entries() == (1, run)
+
+
+@needs_compiler
+def test_loops_that_were_split_among_other_threads_are_compiled_anew(
+    entries: Callable[[], tuple[int, int]],
+):
+    batch = TensorDict({"x": torch.ones(100_000)}, [])
+    threads = torch.get_num_threads()
+    try:
+        for count in (1, 2, 1):
+            torch.set_num_threads(count)
+            Compiled(lambda batch: {"sum": batch["x"].sum()})(batch)
+    finally:
+        torch.set_num_threads(threads)
+    assert entries() == (2, 1)
+
+
+@pytest.fixture
+def entries() -> Iterator[Callable[[], tuple[int, int]]]:
+    """How many graphs were compiled and how many were found, in a cache that is empty at first."""
+    found = counters["inductor"]
+    before = Counter(found)
+
+    def count() -> tuple[int, int]:
+        now = found - before
+        return now["fxgraph_cache_miss"], now["fxgraph_cache_hit"]
+
+    with fresh_cache():
+        yield count
 
 
 @needs_compiler
