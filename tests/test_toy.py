@@ -44,22 +44,21 @@ def test_the_toy_is_an_environment():
     check_env_specs(reach.Reach(EnvOptions(num_envs=3, seed=0)))
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory, recorded: Path) -> dict[str, Run]:
-    runs = {}
-    for variant in VARIANTS:
-        folder = tmp_path_factory.mktemp(variant)
-        runs[variant] = build_run(tiny(variant, folder, recorded), folder / "run")
-        runs[variant].train()
-    return runs
+@pytest.fixture(scope="module", params=VARIANTS)
+def trained(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, recorded: Path
+) -> Run:
+    folder = tmp_path_factory.mktemp(request.param)
+    run = build_run(tiny(request.param, folder, recorded), folder / "run")
+    run.train()
+    return run
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_every_variant_trains_and_evaluates(variant: str, trained: dict[str, Run]):
-    result = evaluate_run(trained[variant].run_dir, [NAMED])
+def test_every_variant_trains_and_evaluates(trained: Run):
+    result = evaluate_run(trained.run_dir, [NAMED])
     assert result["episodes"] == 4
     assert result["made_from"]["task"] == FILE
-    assert result["made_from"]["variant"] == variant
+    assert result["made_from"]["variant"] == trained.recipe.variant
     assert result["stages"] == {"there": result["success_once"]}
     assert 0.0 <= result["success_at_end"] <= result["success_once"] <= 1.0
     assert "steps_to_success_median" in result
@@ -67,13 +66,8 @@ def test_every_variant_trains_and_evaluates(variant: str, trained: dict[str, Run
     assert result["return_mean"] < 20.0
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_an_evaluation_does_not_depend_on_how_many_are_stepped_together(
-    variant: str, trained: dict[str, Run]
-):
-    three, four = (
-        evaluate_run(trained[variant].run_dir, [NAMED, f"evaluation.batch={n}"]) for n in (3, 4)
-    )
+def test_an_evaluation_does_not_depend_on_how_many_are_stepped_together(trained: Run):
+    three, four = (evaluate_run(trained.run_dir, [NAMED, f"evaluation.batch={n}"]) for n in (3, 4))
     for figures in (three, four):
         del figures["made_from"]
         figures.update(figures.pop("stages"))
@@ -97,9 +91,7 @@ def whole(run: Run) -> dict[str, Any]:
     }
 
 
-def test_a_resumed_run_is_the_uninterrupted_one(
-    trained: dict[str, Run], recorded: Path, tmp_path: Path
-):
+def test_a_resumed_run_is_the_uninterrupted_one(recorded: Path, tmp_path: Path):
     # 19-step episodes of two copies: the cut after 60 frames, 30 of each, is within the second.
     recipe = tiny("best", tmp_path, recorded, "env.horizon=19")
     uninterrupted = build_run(recipe, tmp_path / "whole")
@@ -136,14 +128,12 @@ def test_the_default_preset_of_best_runs_and_says_what_it_leaves_out(
     )
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_an_evaluation_tells_all_simulator_steps(variant: str, trained: dict[str, Run]):
+def test_an_evaluation_tells_all_simulator_steps(trained: Run):
     """Episodes of the toy have 20 steps; it cannot replay, so its demonstrations cost none."""
-    run = trained[variant]
-    made_from = evaluate_run(run.run_dir, [NAMED])["made_from"]
-    frames = 0 if run.recipe.offline else 120
-    rolled_out = 20 * run.recipe.growth.bc_model_episodes * run.recipe.growth.bc_model
+    made_from = evaluate_run(trained.run_dir, [NAMED])["made_from"]
+    frames = 0 if trained.recipe.offline else 120
+    rolled_out = 20 * trained.recipe.growth.bc_model_episodes * trained.recipe.growth.bc_model
     assert made_from["frames"] == frames
     assert made_from["simulator_steps"] == frames + rolled_out
-    last = json.loads((run.run_dir / "learning_curve.jsonl").read_text().splitlines()[-1])
+    last = json.loads((trained.run_dir / "learning_curve.jsonl").read_text().splitlines()[-1])
     assert last["simulator_steps"] == frames + rolled_out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from pipeline.cli import app
 from pipeline.commands.evaluate_run import evaluate_run
 from pipeline.files.run_files import EVALUATION, RunDirectoryError
 from pipeline.policy import WEIGHTS, load_policy
+from pipeline.results import statistics
 from pipeline.results.curves import on_grid
 from pipeline.results.export import export_policy, exported_seed
 from pipeline.results.publish import publish
@@ -29,6 +31,15 @@ from pipeline.results.statistics import interquartile_means, over_tasks
 from pipeline.results.tables import render_summary
 from pipeline.run_dir import load_recipe
 from tests.pipeline.toys import tiny_config
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_draws() -> Iterator[None]:
+    """Intervals are drawn for each row of each of a dozen sets here; how finely is not asked."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(statistics, "REPETITIONS", 50)
+        yield
+
 
 # ------------------------------------------------------------------------------------ statistics
 
