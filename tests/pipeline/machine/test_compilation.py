@@ -100,6 +100,7 @@ def test_compiled_imitation_is_the_ordinary_one():
 
 
 @needs_compiler
+@pytest.mark.usefixtures("float64")
 def test_a_loaded_state_is_gone_on_from():
     """Updates were compiled before on the moments and rates of another."""
     loss = make_loss()
@@ -118,6 +119,7 @@ def test_a_loaded_state_is_gone_on_from():
 
 
 @needs_compiler
+@pytest.mark.usefixtures("float64")
 def test_tracing_leaves_nothing_behind():
     loss = make_loss()
     stepper = make_stepper(loss, compile_updates=True)
