@@ -145,7 +145,7 @@ def test_a_signal_to_the_command_ends_it_in_one_line(
     run_dir, curve = tmp_path / "run", tmp_path / "run" / "learning_curve.jsonl"
     process = command(
         "variant=sac", "preset=smoke", f"task.name='{FILE}'", f"run_dir='{run_dir}'",
-        "collector.total_frames=1000000", "torch_threads=1",
+        "collector.total_frames=1000000", "torch_threads=1", "compile_updates=false",
     )  # fmt: skip
     while not curve.exists() and process.poll() is None:
         time.sleep(0.05)
