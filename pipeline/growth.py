@@ -87,7 +87,9 @@ def register_growth(
 def admission_rule(recipe: Recipe) -> AdmissionRule:
     """Which episodes are good, as the configuration says."""
     admission = recipe.growth.admission
-    return AdmissionRule(admission.success, admission.min_progress, admission.min_return)
+    return AdmissionRule(
+        admission.success, admission.min_progress, admission.min_return, admission.at_end
+    )
 
 
 def _moving_bound(recipe: Recipe) -> MovingBound | None:

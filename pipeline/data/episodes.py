@@ -30,6 +30,12 @@ class FinishedEpisode:
         """Control steps."""
         return self.trajectory.shape[0]
 
+    @property
+    def success_at_end(self) -> bool | None:
+        """Whether its last step succeeded; None where the task does not tell."""
+        success = self.trajectory.get(("next", SUCCESS), None)
+        return None if success is None else bool(success[-1].any())
+
     @classmethod
     def from_trajectory(cls, trajectory: TensorDictBase) -> FinishedEpisode:
         """Reads return, success and progress off a trajectory [T]."""

@@ -20,6 +20,7 @@ class AdmissionSettings:
     """Which whole episodes may join D."""
 
     success: bool = True  # the episode must have succeeded
+    at_end: bool = False  # its last step must have
     min_progress: float | None = None  # its largest progress must exceed this
     min_return: float | None = None
     quantile: Share | None = None  # of the last `window` training returns, to be reached as well
@@ -55,17 +56,22 @@ class AdmissionRule:
     """In the task's unit; the largest progress of the episode must exceed it."""
     min_return: float | None = None
     """Undiscounted return that must be reached."""
+    at_end: bool = False
+    """Whether its last step must have succeeded: a door that was flung open may be shut by then."""
 
     def __post_init__(self) -> None:
-        if not self.success and self.min_progress is None and self.min_return is None:
+        bounds = (self.min_progress, self.min_return)
+        if not self.success and not self.at_end and bounds == (None, None):
             raise ValueError(
-                "growth.admission admits every episode: set success=true, min_progress or "
-                "min_return to a bound."
+                "growth.admission admits every episode: set success=true, at_end=true, or "
+                "min_progress or min_return to a bound."
             )
 
     def admits(self, episode: FinishedEpisode) -> bool:
         """Whether ``episode`` is good.  Where the task does not tell, it is not."""
         if self.success and not episode.success:
+            return False
+        if self.at_end and not episode.success_at_end:
             return False
         if self.min_progress is not None and not episode.max_progress > self.min_progress:
             return False

@@ -151,7 +151,7 @@ def _compiled(graph: torch.fx.GraphModule, values: Sequence[Tensor]) -> Callable
         node.meta.pop("val", None)
     # Inductor keeps what it made for the next run where it knows that shapes are of one kind.
     shapes = FakeTensorMode(shape_env=ShapeEnv(), static_shapes=True)
-    given = [shapes.from_tensor(value, static_shapes=True) for value in values]
+    given: list[Any] = [shapes.from_tensor(value, static_shapes=True) for value in values]
     if values[0].device.type == "cpu":
         with suppress(InductorError):
             return torch._inductor.compile(graph, given, options=OPTIONS | FROM_CPP)

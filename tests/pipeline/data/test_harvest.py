@@ -50,6 +50,22 @@ def test_the_default_is_success_and_where_nobody_knows_there_is_none(success, ad
     assert AdmissionRule(min_return=10.0).admits(episode(9.0, 9.0, success)) is False
 
 
+@pytest.mark.parametrize(
+    ("success", "admitted"),
+    [([False, True, True], True), ([False, True, False], False), (None, False)],
+    ids=["held", "lost", "not told"],
+)
+@pytest.mark.parametrize("once", [True, False])
+def test_success_at_the_end_can_be_asked_for(
+    success: list[bool] | None, once: bool, admitted: bool
+):
+    steps = trajectory([1.0, 1.0, 1.0], truncated=[2])
+    if success is not None:
+        steps["next", "success"] = torch.tensor(success)[:, None]
+    rule = AdmissionRule(success=once, at_end=True)
+    assert rule.admits(FinishedEpisode.from_trajectory(steps)) is admitted
+
+
 def test_a_rule_without_a_bound_is_refused():
     with pytest.raises(ValueError, match=r"growth\.admission admits every episode"):
         AdmissionRule(success=False)
