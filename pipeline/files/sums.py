@@ -24,10 +24,14 @@ SUMS: Final = "sums.json"
 SUMS_BYTES: Final = 16 * 2**20
 _THREADS: Final = 8
 """Most of them wait for the disk."""
-_syncfs: Final[Callable[[int], int] | None] = getattr(
-    ctypes.CDLL(None, use_errno=True), "syncfs", None
-)
+_libc: Final = ctypes.CDLL(None, use_errno=True)
+_syncfs: Final[Callable[[int], int] | None] = getattr(_libc, "syncfs", None)
 """Of the C library, which Python does not offer; None where there is none (macOS)."""
+_renameat2: Final[Callable[[int, bytes, int, bytes, int], int] | None] = getattr(
+    _libc, "renameat2", None
+)
+_HERE: Final = -100  # AT_FDCWD
+_EXCHANGE: Final = 2  # RENAME_EXCHANGE
 
 
 class DamagedError(ValueError):
@@ -65,15 +69,30 @@ def verify_sums(folder: Path) -> None:
 
 
 def replace_folder(made: Path, destination: Path) -> None:
-    """Gives ``made`` the name ``destination`` and removes what had it; both lie in one folder."""
+    """Gives ``made`` the name ``destination`` and removes what had it; both lie in one folder.
+
+    On Linux there is one of the two under that name at every moment: a run may keep no other
+    checkpoint. File systems that cannot exchange names have none for the time between two renames.
+    """
     before = None
     if destination.exists():
-        before = destination.with_name(f".{destination.name}.{uuid.uuid4().hex}.replaced")
-        destination.rename(before)
-    made.rename(destination)
+        before = made
+        if not _exchanged(made, destination):
+            before = destination.with_name(f".{destination.name}.{uuid.uuid4().hex}.replaced")
+            destination.rename(before)
+            made.rename(destination)
+    else:
+        made.rename(destination)
     flush(destination.parent)
     if before is not None:
         shutil.rmtree(before, ignore_errors=True)
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Gives two files or folders each other's names at once, where the system can."""
+    if _renameat2 is None:
+        return False
+    return _renameat2(_HERE, os.fsencode(one), _HERE, os.fsencode(other), _EXCHANGE) == 0
 
 
 def flush(path: Path) -> None:
