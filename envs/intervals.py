@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy  # `stats` takes half a second to load, and scipy does it where it is first used
 from numpy.typing import ArrayLike
-from scipy.stats import binomtest
 
 
 def wilson(happened: ArrayLike) -> tuple[float, float]:
@@ -13,5 +13,7 @@ def wilson(happened: ArrayLike) -> tuple[float, float]:
     Wilson's score interval (1927), which stays within [0, 1] and has a width at 0 and at 1.
     """
     events = np.asarray(happened, dtype=bool)
-    interval = binomtest(int(events.sum()), events.size).proportion_ci(0.95, method="wilson")
+    interval = scipy.stats.binomtest(int(events.sum()), events.size).proportion_ci(
+        0.95, method="wilson"
+    )
     return float(interval.low), float(interval.high)

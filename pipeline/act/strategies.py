@@ -25,8 +25,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from envs.contacts import Contacts
 from envs.intervals import wilson
@@ -236,7 +236,9 @@ def _told(
 
 
 def _lasting(happens: Bools, gap: int) -> Bools:
-    return np.asarray(maximum_filter1d(happens.astype(np.uint8), 2 * gap + 1, axis=1), dtype=bool)
+    return np.asarray(
+        scipy.ndimage.maximum_filter1d(happens.astype(np.uint8), 2 * gap + 1, axis=1), dtype=bool
+    )
 
 
 def _shares(names: Sequence[str]) -> dict[str, float]:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
+import scipy  # `stats` takes half a second to load, and scipy does it where it is first used
 from pydantic.dataclasses import dataclass as settings
-from scipy.stats import binomtest, mannwhitneyu
 from torch import nn
 from torchrl.trainers import Trainer, TrainerHookBase
 
@@ -46,7 +46,11 @@ def by_success(window: Collection[float], usual: Collection[float]) -> Verdict:
     successes, episodes = int(sum(window)), len(window)
     # Laplace's rule: after nothing but successes, one failure is still possible.
     rate = (sum(usual) + 1) / (len(usual) + 2)
-    chance = binomtest(successes, episodes, rate, alternative="less").pvalue if usual else 1.0
+    chance = (
+        scipy.stats.binomtest(successes, episodes, rate, alternative="less").pvalue
+        if usual
+        else 1.0
+    )
     return Verdict(
         float(chance),
         successes >= rate * episodes,
@@ -64,7 +68,11 @@ def by_return(window: Collection[float], usual: Collection[float]) -> Verdict:
     own, before = list(window), list(usual)
     # Where all returns are one number, the test has nothing to rank and gives no number.
     flat = len({*own, *before}) == 1
-    chance = 1.0 if flat or not before else mannwhitneyu(own, before, alternative="less").pvalue
+    chance = (
+        1.0
+        if flat or not before
+        else scipy.stats.mannwhitneyu(own, before, alternative="less").pvalue
+    )
     middle = median(own)
     return Verdict(
         float(chance),
