@@ -89,7 +89,9 @@ class Compiled:
     def __call__(self, batch: TensorDictBase) -> dict[str, Tensor]:
         """Learns from ``batch``; returns what the update returns."""
         # One walk for both, because looking an entry up takes longer than some of the arithmetic.
-        keys, values = zip(*batch.items(include_nested=True, leaves_only=True), strict=True)
+        # In one order, whatever a batch was put together from: the next run asks for the same.
+        entries = sorted(batch.items(include_nested=True, leaves_only=True), key=_name)
+        keys, values = zip(*entries, strict=True)
         layout = (batch.batch_size, keys)
         state = self._state()
         if layout not in self._compilations:
@@ -131,6 +133,10 @@ class _Compilation:
         found = self.update(TensorDict(dict(zip(self.keys, values, strict=True)), self.batch_size))
         self.names = tuple(found)
         return list(found.values())
+
+
+def _name(entry: tuple[NestedKey, Tensor]) -> str:
+    return str(entry[0])
 
 
 @contextmanager

@@ -167,6 +167,20 @@ def test_what_one_run_compiled_serves_the_next(entries: Callable[[], tuple[int, 
 
 
 @needs_compiler
+def test_batches_of_another_order_of_keys_are_not_compiled_anew(
+    entries: Callable[[], tuple[int, int]],
+):
+    def update(batch: TensorDictBase) -> dict[str, Tensor]:
+        return {"difference": batch["x"] - batch["next", "x"]}
+
+    values = {"x": torch.tensor([5.0]), "next": {"x": torch.tensor([2.0])}}
+    for names in (["x", "next"], ["next", "x"]):
+        batch = TensorDict({name: values[name] for name in names}, [1])
+        assert Compiled(update)(batch)["difference"].item() == 3.0
+    assert entries() == (1, 1)
+
+
+@needs_compiler
 def test_loops_that_were_split_among_other_threads_are_compiled_anew(
     entries: Callable[[], tuple[int, int]],
 ):
