@@ -22,7 +22,7 @@ from pipeline.files.rotation import make_rotation
 from pipeline.files.run_files import LEARNING_CURVE
 from pipeline.files.sealing import Sealing
 from pipeline.files.time_use import OTHER, TimeUse
-from pipeline.hooks import EvaluationHook, PortionGuard, UpdatesHook
+from pipeline.hooks import EvaluationHook, PortionGuard, ProgressHook, UpdatesHook
 from pipeline.machine.disk import with_room
 from pipeline.machine.interruption import StopRequest
 from pipeline.non_finite import NonFiniteError
@@ -120,6 +120,7 @@ def make_trainer(
     trainer._log_dict = defaultdict(lambda: deque(maxlen=1))
     trainer.register_module("time_use", time_use)
     PortionGuard().register(trainer)
+    ProgressHook("updates of cloning" if recipe.offline else "frames").register(trainer)
     # Before an evaluation and a checkpoint; collecting waits for the updates in any case.
     trainer.register_op("post_steps", trainer.optimization_stepper.settle)
     trainer.register_op("post_steps", lambda: trainer.request_stop() if stop.made else None)

@@ -7,6 +7,7 @@ from pipeline.hooks.episodes import EpisodeHook
 from pipeline.hooks.evaluate import EvaluationHook
 from pipeline.hooks.grown import GrownHook
 from pipeline.hooks.portion_guard import PortionGuard
+from pipeline.hooks.progress import ProgressHook
 from pipeline.hooks.store import StoreHook
 from pipeline.hooks.updates import UpdatesHook
 
@@ -18,6 +19,7 @@ __all__ = [
     "EvaluationHook",
     "GrownHook",
     "PortionGuard",
+    "ProgressHook",
     "StoreHook",
     "UpdatesHook",
 ]

@@ -287,3 +287,15 @@ def test_cutting_leaves_alone_what_is_complete(tmp_path: Path):
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     cut_back(tmp_path, 40)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
+
+
+def test_the_bar_of_a_resumed_run_begins_where_the_run_does(tmp_path: Path):
+    run = build_run(recipe_of("logging.progress=true"), tmp_path / "run")
+    run.trainer.total_frames = 40
+    run.train()
+    assert (run.trainer._pbar.initial, run.trainer._pbar.n) == (0, 40)
+    again = resumed(tmp_path / "run")
+    again.train()
+    bar = again.trainer._pbar
+    assert (bar.initial, bar.n, bar.unit) == (40, again.recipe.collector.total_frames, " frames")
+    assert bar.disable, "a closed bar writes no more"
