@@ -37,6 +37,7 @@ from pipeline.resuming import (
 from pipeline.run_dir import create_run_dir, save_recipe, saved_recipe
 from pipeline.scale_choice import unscaled, with_chosen_scale
 from pipeline.trainer import Run, seed_everything
+from pipeline.updates import late_actor
 from pipeline.watch.loggers import require_loggers
 
 _logger = logging.getLogger(__name__)
@@ -114,6 +115,8 @@ def _compose(recipe: Recipe, run_dir: Path, time_use: TimeUse) -> Run:
     use_onednn(bool(recipe.onednn))
     # Apart from the rest of the setup: it is the simulator that works there.
     task = recipe.find_task()
+    if late := late_actor(recipe):
+        _logger.warning("%s", late)
     if recipe.curriculum.reverse:  # before minutes of demonstrations
         task.require("states", "curriculum.reverse=true")
     with time_use.part("demonstrations"):

@@ -219,7 +219,7 @@ def record(
     ] = None,
     episodes: Annotated[int, typer.Option(help="Successful episodes to keep.")] = 25,
     attempts: Annotated[int, typer.Option(help="Episodes to try at most.")] = 1000,
-    seed: Annotated[int, typer.Option(help="Of the list of episodes.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of the list of episodes.", min=0, max=2**32 - 1)] = 0,
 ) -> None:
     """Record a demonstration set, filtered by success, from RUN's policy or a controller."""
     if bool(run) == (policy is not None):

@@ -35,7 +35,7 @@ from pipeline.learn.imitation import CloningSettings
 from pipeline.learn.networks import ActorSettings, CriticSettings
 from pipeline.learn.objective import LossSettings
 from pipeline.learn.optimizers import OptimSettings
-from pipeline.settings import STRICT, Count, NotNegative, checked, plain
+from pipeline.settings import STRICT, Count, NotNegative, Seed, checked, plain
 from pipeline.watch.loggers import LoggingSettings
 
 
@@ -101,7 +101,7 @@ class Recipe:
 
     variant: str = "custom"
     preset: str = "none"
-    seed: NotNegative = 0
+    seed: Seed = 0
     device: str = "cpu"
     torch_threads: Count | None = None  # intra-op threads; None = measured when the run starts
     # Of hidden layers; auto is bf16 where it is faster.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,8 @@ from pipeline.settings import SettingsError, plain
 
 DEPTH = 32
 """Of the deepest nesting that is read."""
+IDENTITY = ("variant", "preset", "seed")
+"""Keys that say which run it is."""
 HISTORY = "history"
 """In config.yaml, beside the values: when a resume changed which of them."""
 
@@ -137,7 +140,19 @@ def load_recipe(run_dir: Path, overrides: Sequence[str] = ()) -> Recipe:
             f"{error} (with overrides {typed})" if typed else str(error)
         ) from error
     _require_trusted(recipe, typed, path)
+    _require_itself(typed, path)
     return recipe
+
+
+def _require_itself(overrides: list[str], where: Path) -> None:
+    """Refuses to call a run something else than it was trained as."""
+    for key in IDENTITY:
+        for override in overrides:
+            if override.startswith(f"{key}="):
+                raise RunDirectoryError(
+                    f"{where}: what a run was trained as cannot be named anew; leave out "
+                    f"{override}" + (", or set evaluation.seed" if key == "seed" else "")
+                )
 
 
 def _values(path: Path) -> dict[str, Any]:
@@ -200,6 +215,28 @@ def _typed(value: Any) -> str:
     return f"[{','.join(value)}]" if isinstance(value, (list, tuple)) else str(value)
 
 
+class _TypedValues(yaml.SafeLoader):
+    """Values as Hydra reads them where a run is new: YAML has 010 for 8, 1:30 for 90, no for false.
+
+    A number that is none of Python's stays a string, which the key's own type refuses.
+    """
+
+
+_TypedValues.yaml_implicit_resolvers = {}
+for _tag, _form, _first in (
+    ("bool", r"(?i:true|false)", "tTfF"),
+    ("null", r"(?i:null)", "nN"),
+    ("int", r"[-+]?[0-9]+(_[0-9]+)*", "-+0123456789"),
+    ("float", r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))([eE][-+]?[0-9]+)?", "-+.0123456789"),
+    ("float", r"[-+]?(?i:inf|nan)", "-+iInN"),
+):
+    _TypedValues.add_implicit_resolver(
+        f"tag:yaml.org,2002:{_tag}", re.compile(rf"^(?:{_form})$"), list(_first)
+    )
+_TypedValues.add_constructor("tag:yaml.org,2002:int", lambda _, node: int(node.value))
+_TypedValues.add_constructor("tag:yaml.org,2002:float", lambda _, node: float(node.value))
+
+
 def overridden(recipe: Recipe, override: str) -> Recipe:
     """The recipe with one ``key=value`` on top.
 
@@ -209,7 +246,13 @@ def overridden(recipe: Recipe, override: str) -> Recipe:
     name, separator, text = override.partition("=")
     if not separator:
         raise SettingsError(f"{override!r} is not of the form key=value")
-    change: Any = literal(text) if name in LITERAL else yaml.safe_load(text)
+    try:
+        change: Any = (
+            literal(text) if name in LITERAL or not text else yaml.load(text, _TypedValues)
+        )
+    except (yaml.YAMLError, ValueError) as error:
+        told = " ".join(str(error).split())
+        raise SettingsError(f"{override!r}: its value cannot be read ({told})") from error
     for part in reversed(name.split(".")):
         change = {part: change}
     return recipe.changed(**change)

@@ -15,17 +15,31 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic_core import PydanticCustomError
 
 STRICT: Final = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=True)
 """Of every section: no unknown keys, no NaN."""
 
-Count = Annotated[int, Field(ge=1)]
-NotNegative = Annotated[int, Field(ge=0)]
-Positive = Annotated[float, Field(gt=0.0)]
-Rate = Annotated[float, Field(ge=0.0)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Multiple = Annotated[float, Field(ge=1.0)]
+
+def _no_truth(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise PydanticCustomError("number_expected", "Input should be a number, not true or false")
+    return value
+
+
+NUMBER: Final = BeforeValidator(_no_truth)
+"""True is 1 to Python, and a slip on a command line."""
+LARGEST: Final = 1e30
+"""What float32 holds, and a few products of."""
+
+Count = Annotated[int, NUMBER, Field(ge=1)]
+NotNegative = Annotated[int, NUMBER, Field(ge=0)]
+Seed = Annotated[int, NUMBER, Field(ge=0, lt=2**32)]
+Positive = Annotated[float, NUMBER, Field(gt=0.0, le=LARGEST)]
+Rate = Annotated[float, NUMBER, Field(ge=0.0, le=LARGEST)]
+Share = Annotated[float, NUMBER, Field(ge=0.0, le=1.0)]
+Multiple = Annotated[float, NUMBER, Field(ge=1.0, le=LARGEST)]
 Widths = Annotated[tuple[Count, ...], Field(min_length=1)]
 
 Section = TypeVar("Section")

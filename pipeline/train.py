@@ -19,6 +19,7 @@ from envs.task import TaskFailedError
 from pipeline.build import build_run
 from pipeline.machine.disk import told
 from pipeline.machine.interruption import Interrupted, Interruption, interruption
+from pipeline.machine.memory import told_memory
 from pipeline.machine.sweep import note, sweep
 from pipeline.non_finite import EXIT_CODE, NonFiniteError
 from pipeline.recipe import Recipe
@@ -82,6 +83,10 @@ def _failure(config: DictConfig) -> tuple[int, str] | None:
         return 1, told(error)
     except OmegaConfBaseException as error:
         return 1, f"in the configuration: {error}"
+    except (MemoryError, RuntimeError) as error:
+        if (why := told_memory(error)) is None:
+            raise
+        return 1, why
     return None
 
 

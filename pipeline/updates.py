@@ -71,6 +71,27 @@ def actor_updates(recipe: Recipe) -> int:
     return max(after_delay, 0) // recipe.optim.actor_period
 
 
+def late_actor(recipe: Recipe) -> str | None:
+    """A warning of a run that learns nothing, or whose critics warm up for half of it; or None.
+
+    The policy of such a run is the clone that it began with, or hardly another.
+    """
+    delay, updates, learns = recipe.optim.actor_delay, critic_updates(recipe), actor_updates(recipe)
+    if not updates:
+        return (
+            f"collector.random_frames={recipe.collector.random_frames}: none of this run's "
+            f"{recipe.collector.total_frames} frames is learned from. Collect more, or draw fewer "
+            "at random"
+        )
+    if recipe.offline or 2 * delay < updates:
+        return None
+    return (
+        f"optim.actor_delay={delay}: of this run's {updates} updates the first {delay} are the "
+        f"critics' alone, and the actor gets {learns or 'none: the policy stays what it begins as'}"
+        ". Collect more (collector.total_frames, optim.updates_per_frame) or lower the delay"
+    )
+
+
 def _portions(total: int, size: int) -> int:
     """Portions until there are ``total``, and at least one: the trainer looks after a portion."""
     return max(-(-total // size), 1)

@@ -24,7 +24,7 @@ from pipeline.act.shaped import core_of, through
 from pipeline.machine.random_state import kept_random_state
 from pipeline.machine.threads import one_torch_thread
 from pipeline.non_finite import require_finite_step
-from pipeline.settings import STRICT, Count, NotNegative, Positive
+from pipeline.settings import STRICT, Count, NotNegative, Positive, Seed
 
 Exploration = Literal["mean", "sample"]
 Acting = Callable[[int, int], TensorDictModuleBase]
@@ -36,7 +36,7 @@ _BEHIND_THE_END: dict[str, float | bool] = {SUCCESS: False, PROGRESS: torch.nan}
 class EvaluationSettings:
     """Evaluation during and after training."""
 
-    seed: NotNegative = 20_000  # of the list of episodes
+    seed: Seed = 20_000  # of the list of episodes
     episodes: Count = 1000
     batch: Count = 250  # episodes stepped together
     exploration: Exploration = "mean"  # the policy's tanh(loc), or a draw

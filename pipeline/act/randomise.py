@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Final
+from typing import Annotated, Final
 
+from pydantic import Field
 from pydantic.dataclasses import dataclass as settings
 
 from envs import Task
@@ -12,6 +13,8 @@ from envs.disturbing import Disturbance
 from pipeline.settings import STRICT, NotNegative, Rate
 
 KEY: Final = "task.randomise."
+Delay = Annotated[NotNegative, Field(le=1000)]
+"""Longer than any episode in which a late action could still help."""
 
 
 @settings(frozen=True, kw_only=True, config=STRICT)
@@ -21,7 +24,7 @@ class RandomiseSettings:
     # Standard deviation of normal noise, on entries of observations and of actions in [-1, 1].
     observation_noise: tuple[Rate, Rate] = (0.0, 0.0)
     action_noise: tuple[Rate, Rate] = (0.0, 0.0)
-    delay: tuple[NotNegative, NotNegative] = (0, 0)  # control steps until an action is played
+    delay: tuple[Delay, Delay] = (0, 0)  # control steps until an action is played
     # Of the model, by the task's names, drawn in their logarithm: task.randomise.factors.mass=[...]
     factors: dict[str, tuple[float, float]] = field(default_factory=dict)
     # How far beyond its box a thing may begin, below and above: task.randomise.outside.door_x=[...]

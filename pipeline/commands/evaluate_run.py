@@ -20,7 +20,7 @@ from pipeline.machine.extras import require_extras
 from pipeline.policy import PolicyOrigin, load_policy
 from pipeline.recipe import Recipe
 from pipeline.results.evaluation_files import RunEvaluation, episode_columns, progress_columns
-from pipeline.run_dir import load_recipe
+from pipeline.run_dir import load_recipe, saved_recipe
 
 if TYPE_CHECKING:
     from pipeline.act.likeness import Comparison
@@ -99,20 +99,21 @@ def made_from(
     recipe: Recipe, task: Task, run_dir: Path, origin: PolicyOrigin, overrides: Sequence[str]
 ) -> dict[str, Any]:
     """What figures of a policy were made from: the run, its budget, seeds and versions."""
-    beside = StepsBeside.read(run_dir)
+    beside, trained = StepsBeside.read(run_dir), saved_recipe(run_dir)
     return {
         "run": str(run_dir),
         "checkpoint": origin.name,
         "task": recipe.task.name,
         "reward": recipe.env.reward,
-        "variant": recipe.variant,
-        "preset": recipe.preset,
-        "precision": recipe.precision,
-        "bc_weight": recipe.loss.bc_weight.init,
-        "seed": recipe.seed,
-        "demos": recipe.demos.source,
-        "demos_sha256": _sha256(recipe.demos.source, task),
-        "demos_multiplied": recipe.demos.multiply.enabled,
+        # What an override says beside these counts for the evaluation, and not for the training.
+        "variant": trained.variant,
+        "preset": trained.preset,
+        "precision": trained.precision,
+        "bc_weight": trained.loss.bc_weight.init,
+        "seed": trained.seed,
+        "demos": trained.demos.source,
+        "demos_sha256": _sha256(trained.demos.source, task),
+        "demos_multiplied": trained.demos.multiply.enabled,
         "frames": origin.frames,
         "simulator_steps": None if beside is None else origin.frames + beside.total,
         "evaluation_seed": recipe.evaluation.seed,

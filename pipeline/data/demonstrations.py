@@ -25,7 +25,7 @@ from envs.steps import counted_steps
 from pipeline.data.returns import TO_END
 from pipeline.data.rows import TransitionRows
 from pipeline.learn.networks import ObservationNormalizer
-from pipeline.settings import STRICT, Count, Multiple, NotNegative, Positive, Rate, Share
+from pipeline.settings import STRICT, Count, Multiple, NotNegative, Positive, Rate, Seed, Share
 
 _logger = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ class MultiplySettings:
     enabled: bool = False
     target_episodes: Count = 350  # episodes to keep
     max_attempts: Count = 4000  # give up after so many
-    seed: NotNegative = 0
+    seed: Seed = 0
     noise_scale: Rate = 0.08  # largest AR(1) action noise that is executed but not recorded
     speed_low: Positive = 1.1  # slowest playback speed (1 = as recorded)
     speed_high: Positive = 1.6
@@ -49,6 +49,18 @@ class MultiplySettings:
     min_progress: float | None = None  # what an attempt must get beyond; None = success
 
     hold: bool = False  # they are a success, or beyond min_progress, at their last step too
+
+    def __post_init__(self) -> None:
+        for low, high in (
+            ("speed_low", "speed_high"),
+            ("target_episodes", "max_attempts"),
+            ("speed_bins", "max_attempts"),
+        ):
+            least, most = getattr(self, low), getattr(self, high)
+            if least > most:
+                raise ValueError(
+                    f"demos.multiply.{low}={least} is more than demos.multiply.{high}={most}"
+                )
 
     def config(self) -> MultiplyConfig | None:
         """What multiplication takes; None if it is off."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import torch
+from pydantic import Field
 from pydantic.dataclasses import dataclass as settings
 from tensordict import TensorDictBase
 from torchrl.data import TensorDictReplayBuffer
@@ -11,6 +14,8 @@ from pipeline.data.buffers import DemonstrationDistribution
 from pipeline.data.rows import joined
 from pipeline.settings import STRICT, Count, NotNegative, Rate
 
+Ratio = Annotated[Rate, Field(le=1000.0)]
+"""Beyond it a batch is nothing but demonstrations, and memory ends."""
 DRAWS = 16
 """Batches drawn at a time where many updates follow one another; more gained nothing."""
 
@@ -21,7 +26,7 @@ class SamplerSettings:
 
     batch_size: Count = 1024  # rows from the replay buffer
     capacity: Count | None = None  # rows the replay buffer holds, the newest; None = the whole run
-    demo_ratio: Rate = 0.0  # rows from the demonstration distribution D per row of batch_size
+    demo_ratio: Ratio = 0.0  # rows from the demonstration distribution D per row of batch_size
     preload: bool = False  # the demonstrations lie in the replay buffer from the start (DDPGfD)
     demo_update_period: NotNegative = 0  # f of Algorithm 1: an extra update on D every f; 0 = never
 

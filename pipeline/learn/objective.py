@@ -90,7 +90,7 @@ class LossSettings:
     gamma: Share = 0.99
     n_step: Count = 1  # steps of reward before the bootstrap
     # Factor on rewards; auto: by what demonstrations are worth (pipeline/scale_choice.py)
-    reward_scale: float | Literal["auto"] = 1.0
+    reward_scale: Positive | Literal["auto"] = 1.0
     progress_bonus: Rate = 0.0  # training only: reward per unit of progress, at every step
     progress_bonus_cap: float | None = None  # progress beyond which it grows no further
     init_temperature: Positive = 0.1

@@ -8,7 +8,7 @@ import pytest
 
 from configs import compose
 from pipeline.learner import average_decay
-from pipeline.updates import actor_updates, critic_updates, main_updates
+from pipeline.updates import actor_updates, critic_updates, late_actor, main_updates
 from tests.pipeline.toys import built, tiny_config
 
 PENDULUM = (
@@ -108,3 +108,20 @@ def test_the_average_spans_the_updates_that_are_made():
 def test_no_environments_are_named():
     with pytest.raises(ValueError, match=r"env\.num_envs=0: .* greater than or equal to 1"):
         compose("env.num_envs=0")
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        # 0.3 updates a frame: 1,500 updates, fewer than the critics' warm-up of 2,000.
+        (["collector.total_frames=5000"], "the actor gets none: the policy stays what it begins"),
+        # 2,400 updates; the actor learns at every second of the last 400.
+        (["collector.total_frames=8000"], "first 2000 are the critics' alone, and the actor gets "),
+        (["collector.total_frames=20000"], None),
+        (["collector.total_frames=5000", "optim.actor_delay=100"], None),
+        (["collector.random_frames=9000", "collector.total_frames=900"], "none of this run's 900"),
+    ],
+)
+def test_a_run_that_hardly_moves_its_policy_is_warned_of(changes: list[str], told: str | None):
+    found = late_actor(compose("variant=bc_sac", "preset=default", *changes))
+    assert found is None if told is None else told in str(found)
