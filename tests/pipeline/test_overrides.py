@@ -1,4 +1,4 @@
-"""What is typed on top of a run's recipe: read as for a new run, and no new name for the old one."""
+"""What is typed on top of a recipe: read as for a new run, and no new name for the old one."""
 
 from __future__ import annotations
 
