@@ -52,7 +52,7 @@ SCHEMA: Final = DemoSchema(
     success=task.success,
     progress=task.hinge_angle,
     continues=continues,
-    bundled=Path(__file__).parent / "bundled" / "door_bc.h5",
+    bundled=Path(__file__).parent / "bundled" / "door_dbc_sac.h5",
     horizon=task.HORIZON,
     full_progress=task.FULLY_OPEN,
 )
