@@ -199,10 +199,10 @@ def demos_check(
         bool | None, typer.Option(help="Replay in the task; default: where it can.")
     ] = None,
 ) -> None:
-    """Validate a demonstration source: episodes, starts, findings. Fails if none is usable."""
+    """Validate a demonstration source: episodes, starts, findings. Fails where training would."""
     check = check_demonstrations(source, find_task(task), resimulate)
     typer.echo(check.text)
-    if not check.usable:
+    if check.refusal is not None:
         raise typer.Exit(1)
 
 
