@@ -122,7 +122,7 @@ class FileSource:
             ) from error
         if not episodes and not failed:
             raise DemonstrationError(self.spec, "holds no episodes", f"Expected {self.reader.form}")
-        units.tell(notes, self.name)
+        units.tell(notes, self.name, failed)
         return episodes
 
     def _path(self) -> Path:

@@ -33,9 +33,13 @@ class Units:
             reach = float(np.abs(np.asarray(raw.actions, dtype=np.float64)).max())
             self._largest = max(self._largest or 0.0, reach)
 
-    def tell(self, notes: Notes, name: str) -> None:
-        """Take the remark down, if there is one, for the file ``name``."""
-        if self._largest is None or self._largest > 1.0 + ROUNDING or self._high - self._low < WIDE:
+    def tell(self, notes: Notes, name: str, refused: int) -> None:
+        """Take the remark down, if there is one, for the file ``name``.
+
+        Nothing is said of a file with refused episodes: their actions were not seen.
+        """
+        narrow = self._largest is not None and self._largest <= 1.0 + ROUNDING
+        if refused or not narrow or self._high - self._low < WIDE:
             return
         remark = (
             f"{name}: all actions lie within [-1, 1], and the task's within [{self._low:g}, "

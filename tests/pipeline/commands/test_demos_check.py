@@ -197,6 +197,14 @@ def test_actions_that_look_normalised_are_remarked_and_used(
     assert (remark in check.text) is told
 
 
+def test_actions_of_a_refused_episode_forbid_the_remark(tmp_path: Path):
+    schema = dataclasses.replace(SCHEMA, action_low=(-5.0, -5.0), action_high=(5.0, 5.0))
+    path = seated(tmp_path / "n.npz", [0.2, 0.8], bad=1)
+    check = check_demonstrations(str(path), dataclasses.replace(TASK, demos=schema))
+    assert check.usable == 1
+    assert "all actions lie within" not in check.text
+
+
 def test_a_recording_of_this_project_needs_no_remark_on_its_units(tmp_path: Path):
     schema = dataclasses.replace(SCHEMA, action_low=(-5.0, -5.0), action_high=(5.0, 5.0))
     start = {"seat": np.ones(1)}
