@@ -11,6 +11,11 @@ from types import ModuleType
 from typing import Final
 
 SUFFIX: Final = ".py"
+_OF_A_PACKAGE: Final = (
+    "a file that is named alone is of no package: say where its package lies with "
+    "PYTHONPATH=folder, then import it by its whole name (from mypkg.x import y), or name what the "
+    "package registers, TASK=gymnasium:MODULE:ID (docs/howto/your-environment.md)"
+)
 
 
 def split_file(where: str) -> tuple[str, str] | None:
@@ -56,7 +61,8 @@ def import_file(path: str | Path, asked: str, form: str) -> ModuleType:
     # Whatever a user's file raises is told in one line; SystemExit would end the program silently.
     except (Exception, SystemExit) as error:
         del sys.modules[name]
-        raise ValueError(f"{asked}: cannot import {told_at(error, file)}") from error
+        hint = f"; {_OF_A_PACKAGE}" if "attempted relative import" in str(error) else ""
+        raise ValueError(f"{asked}: cannot import {told_at(error, file)}{hint}") from error
     return module
 
 

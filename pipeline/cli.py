@@ -199,10 +199,10 @@ def demos_check(
         bool | None, typer.Option(help="Replay in the task; default: where it can.")
     ] = None,
 ) -> None:
-    """Validate a demonstration source: episodes, starts, findings. Fails if none is usable."""
+    """Validate a demonstration source: episodes, starts, findings. Fails where training would."""
     check = check_demonstrations(source, find_task(task), resimulate)
     typer.echo(check.text)
-    if not check.usable:
+    if check.refusal is not None:
         raise typer.Exit(1)
 
 
@@ -312,7 +312,8 @@ def play(
 
 def _scalars(result: Mapping[str, Any]) -> dict[str, Any]:
     flat = {**result} | {f"stage: {label}": share for label, share in result["stages"].items()}
-    return {k: v for k, v in flat.items() if v is None or isinstance(v, (int, float, str))}
+    # None is what the task does not tell, progress for instance: the file has it.
+    return {key: value for key, value in flat.items() if isinstance(value, (int, float, str))}
 
 
 def main() -> None:

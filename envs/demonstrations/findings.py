@@ -19,6 +19,7 @@ class Kind(StrEnum):
         "episode ends that do not tell a terminal state from a time limit, taken as limits"
     )
     IGNORED_FILES = "files that are no demonstrations, left alone"
+    IN_UNIT_BOX = "files whose actions may be normalised already, taken in the task's units"
     JOINED = "cuts at a time limit at which an episode goes on, joined"
     KEYS_UNUSED = "episodes with observation arrays that are not used"
     LAST_ACTION = "last actions without the observation after them, dropped"

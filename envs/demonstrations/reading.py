@@ -15,6 +15,7 @@ from envs.demonstrations.errors import DemonstrationError
 from envs.demonstrations.files import one_line
 from envs.demonstrations.findings import Kind, Notes
 from envs.demonstrations.schema import DemoSchema
+from envs.demonstrations.units import Units
 from envs.demonstrations.validation import RawEpisode, build_episode
 
 
@@ -91,6 +92,7 @@ class FileSource:
         notes = Notes() if notes is None else notes
         episodes: list[Episode] = []
         failed = elements = 0
+        units = Units(schema)
         try:
             for index, record in enumerate(self.reader.read(self._path(), schema, notes)):
                 elements += _elements(record.raw)
@@ -102,6 +104,7 @@ class FileSource:
                     )
                 try:
                     episodes.append(self._episode(index, record, schema, notes))
+                    units.see(record.raw)
                 except DemonstrationError as error:
                     if refused is None:
                         raise
@@ -119,6 +122,7 @@ class FileSource:
             ) from error
         if not episodes and not failed:
             raise DemonstrationError(self.spec, "holds no episodes", f"Expected {self.reader.form}")
+        units.tell(notes, self.name, failed)
         return episodes
 
     def _path(self) -> Path:

@@ -36,15 +36,19 @@ class Check:
 
     Attributes:
         text: for people.
-        usable: episodes that training can use.
+        usable: episodes that pass.
+        refusal: why training does not start with the source, and what helps; None if it does.
     """
 
     text: str
     usable: int
+    refusal: str | None
 
 
 def check_demonstrations(source: str, task: Task, resimulate: bool | None = None) -> Check:
     """Read, check and describe demonstrations; single episodes that do not pass are listed.
+
+    Training stops at the first of those: it leaves no episode out.
 
     Args:
         source: see `envs.demonstrations.open_source`.
@@ -62,7 +66,24 @@ def check_demonstrations(source: str, task: Task, resimulate: bool | None = None
     if loaded.episodes:
         parts.append(_format_coverage(_coverage(task, loaded.episodes)))
     parts.append(_summary(loaded, len(refused)))
-    return Check("\n\n".join(part for part in parts if part), len(loaded.episodes))
+    refusal = _refusal(source, task, replayed, refused[0]) if refused else None
+    parts += [refusal] if refusal is not None else []
+    return Check("\n\n".join(part for part in parts if part), len(loaded.episodes), refusal)
+
+
+def _refusal(source: str, task: Task, replayed: bool, first: DemonstrationError) -> str:
+    remedy = "no setting leaves single episodes out: repair them or take them out of the source"
+    if replayed and _passes_as_recorded(source, task):
+        remedy = 'without a replay it is accepted: make train ARGS="demos.resimulate=false"'
+    return f"training refuses this source: {first}\n({remedy})"
+
+
+def _passes_as_recorded(source: str, task: Task) -> bool:
+    try:
+        load_demonstrations(source, task, DemoOptions(resimulate=False))
+    except DemonstrationError:
+        return False
+    return True
 
 
 def _summary(loaded: DemonstrationSet, refused: int) -> str:

@@ -114,6 +114,7 @@ def robustness(
         undisturbed=undisturbed,
         ladders=tuple(ladders),
         made_from=made_from(recipe, task, run_dir, origin, overrides),
+        kinds=tuple(kinds),
     )
 
 

@@ -90,14 +90,23 @@ def about(words: Sequence[str]) -> list[Setting]:
         ValueError: If there is none.
     """
     every = [setting for section in sections() for setting in section.settings]
-    asked = [word.lower() for word in words]
-    found = [s for s in every if all(word in f"{s.key} {s.meaning}".lower() for word in asked)]
+    found = [setting for setting in every if all(_is_about(setting, word) for word in words)]
     if not found:
+        alone = f" (alone, {_alone(every, words)})" if len(words) > 1 else ""
         raise ValueError(
-            f"no setting is about {' '.join(words)!r}: name a section ({_sections()}), a part of a "
-            "key or a word of what it does, or leave it out for all of them"
+            f"no setting is about {' '.join(words)!r}{alone}: name a section ({_sections()}), a "
+            "part of a key or a word of what it does, or leave it out for all of them"
         )
     return found
+
+
+def _is_about(setting: Setting, word: str) -> bool:
+    return word.lower() in f"{setting.key} {setting.meaning}".lower()
+
+
+def _alone(every: Sequence[Setting], words: Sequence[str]) -> str:
+    counts = {word: sum(_is_about(setting, word) for setting in every) for word in words}
+    return " and ".join(f"{word!r} finds {count or 'none'}" for word, count in counts.items())
 
 
 def _sections() -> str:

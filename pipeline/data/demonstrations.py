@@ -21,6 +21,7 @@ from envs.demonstrations import (
     to_tensordict,
 )
 from envs.demonstrations.episode import Episode
+from envs.demonstrations.findings import Kind
 from envs.steps import counted_steps
 from pipeline.data.returns import TO_END
 from pipeline.data.rows import TransitionRows
@@ -188,6 +189,8 @@ def make_demonstrations(
         loaded: DemonstrationSet = load_demonstrations(
             demos.source, task, demos.options(task), num_threads=num_threads, cache_dir=cache_dir
         )
+    if (remark := loaded.findings.found.get(Kind.IN_UNIT_BOX)) is not None:
+        _logger.warning("demos.source: %s", remark.first)
     count = len(loaded.episodes) - demos.held_out
     if count < 1:
         raise ValueError(

@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.files.run_files import EVALUATION, RunDirectoryError
 from pipeline.recipe import Recipe
+from pipeline.results import again
 from pipeline.results.evaluation_files import EPISODES, beside, load_columns, load_evaluation
 
 DEFAULT: Final = 3
@@ -106,6 +107,6 @@ def _evaluated(run_dir: Path, recipe: Recipe) -> dict[str, list[Any]]:
         if made_from.get(key) != value:
             raise RunDirectoryError(
                 f"{run_dir / EVALUATION} is of {key} {made_from.get(key)}, not {value}, whose "
-                f"worst episodes are asked for; make it again with: make eval RUN={run_dir}"
+                f"worst episodes are asked for; make it again with: {again.evaluate(run_dir)}"
             )
     return load_columns(beside(run_dir / EVALUATION, EPISODES))

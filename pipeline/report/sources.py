@@ -23,6 +23,7 @@ from pipeline.files.run_files import (
 )
 from pipeline.files.time_use import TIME_USE
 from pipeline.renamed import rename_keys
+from pipeline.results import again
 from pipeline.results.evaluation_files import (
     EPISODES,
     PROGRESS_CURVE,
@@ -215,7 +216,8 @@ def _tables(reader: _Reader, path: Path, evaluation: Json | None) -> tuple[Colum
     if episodes and len(episodes["episode"]) != evaluation["episodes"]:
         reader.missing.append(
             f"{beside(path, EPISODES)} holds {len(episodes['episode'])} episodes and {path.name} "
-            f"{evaluation['episodes']}: they are of two evaluations; make them again: make eval"
+            f"{evaluation['episodes']}: they are of two evaluations; make them again: "
+            f"{again.evaluate(path)}"
         )
         return nothing
     curve = beside(path, PROGRESS_CURVE)
@@ -231,7 +233,7 @@ def _outdated(path: Path, evaluation: Json | None) -> list[str]:
         return []
     return [
         f"{path / EVALUATION} is of {judged}, and the run has gone on to {newest}: evaluate it "
-        f"again with: make eval RUN={path}"
+        f"again with: {again.evaluate(path)}"
     ]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from envs.reference import Column, Reference
-from pipeline.literals import TASK_KEY, literal
 from pipeline.report.charts import chart
 from pipeline.report.learning import published
 from pipeline.report.numbers import HOW, estimate
@@ -19,6 +17,7 @@ from pipeline.report.page import Section, Table
 from pipeline.report.plane import Spread, plane
 from pipeline.report.rows import ReportRow, different, recipe
 from pipeline.report.sources import ReportRun
+from pipeline.results import again
 from pipeline.results.run_tables import FORMER, RETURN, cell
 
 HEADLINE = (
@@ -222,14 +221,19 @@ def _origin(row: ReportRow, run: ReportRun) -> list[str]:
 
 def _command(run: ReportRun) -> str:
     if run.evaluation is None:
-        return f"make eval RUN={shlex.quote(str(run.path))}"
-    words = [f"make eval RUN={shlex.quote(run.name)} EPISODES={run.evaluation['episodes']}"]
-    given = run.made_from.get("overrides") or []
-    tasks = [value for key, _, value in (one.partition("=") for one in given) if key == TASK_KEY]
-    words += [f"TASK={shlex.quote(literal(value))}" for value in tasks[-1:]]
-    others = " ".join(one for one in given if not one.startswith(f"{TASK_KEY}="))
-    words += [f"ARGS={shlex.quote(others)}"] if others else []
-    return " ".join(words)
+        return again.evaluate(run.path)
+    of_config = {
+        key.removeprefix(again.TASK): value
+        for key, value in run.config.items()
+        if key.startswith(again.TASK)
+    }
+    return again.command(
+        "eval",
+        run.name,
+        {**of_config, "name": run.told("task")},
+        run.made_from.get("overrides") or [],
+        EPISODES=run.evaluation["episodes"],
+    )
 
 
 def _revision(told: Mapping[str, Any]) -> str:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from envs import Task
 from pipeline.act.metrics import Rollouts
 from pipeline.files.run_files import EVALUATION, RunDirectoryError, as_json, write_atomically
+from pipeline.results import again
 
 SUM = "sha256"
 """Key of an evaluation file: of all others and their values."""
@@ -128,7 +129,7 @@ def load_evaluation(path: Path) -> dict[str, Any]:
     """
     file = path / EVALUATION if path.is_dir() else path
     if not file.is_file():
-        raise RunDirectoryError(f"{file} does not exist; make it with: make eval RUN={path}")
+        raise RunDirectoryError(f"{file} does not exist; make it with: {again.evaluate(path)}")
     try:
         evaluation: dict[str, Any] = json.loads(file.read_text())
         made_from = evaluation["made_from"]
@@ -136,13 +137,13 @@ def load_evaluation(path: Path) -> dict[str, Any]:
             raise TypeError("its variant has no name")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise RunDirectoryError(
-            f"{file} is not an evaluation ({error}); make it again with: make eval RUN={path}"
+            f"{file} is not an evaluation ({error}); make it again with: {again.evaluate(path)}"
         ) from error
     # Files of before have none.
     if evaluation.pop(SUM, written := _sum(evaluation)) != written:
         raise RunDirectoryError(
-            f"{file} is not as it was written: damaged, or edited; make it again with: make eval "
-            f"RUN={path}"
+            f"{file} is not as it was written: damaged, or edited; make it again with: "
+            f"{again.evaluate(path)}"
         )
     return evaluation
 
@@ -165,7 +166,9 @@ def load_columns(path: Path) -> dict[str, list[Any]]:
         RunDirectoryError: If it is missing or damaged.
     """
     if not path.is_file():
-        raise RunDirectoryError(f"{path} does not exist; make it with: make eval RUN={path.parent}")
+        raise RunDirectoryError(
+            f"{path} does not exist; make it with: {again.evaluate(path.parent)}"
+        )
     try:
         header, *rows = csv.reader(path.read_text().splitlines())
         return {
@@ -174,7 +177,7 @@ def load_columns(path: Path) -> dict[str, list[Any]]:
         }
     except ValueError as error:
         raise RunDirectoryError(
-            f"{path} is damaged ({error}); make it again with: make eval RUN={path.parent}"
+            f"{path} is damaged ({error}); make it again with: {again.evaluate(path.parent)}"
         ) from error
 
 

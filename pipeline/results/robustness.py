@@ -14,6 +14,7 @@ from typing import Any, Final, Self
 from tabulate import tabulate
 
 from pipeline.files.run_files import RunDirectoryError, as_json, write_atomically
+from pipeline.results import again
 
 ROBUSTNESS: Final = "robustness.json"
 TABLE: Final = "robustness.md"
@@ -78,6 +79,7 @@ class Robustness:
         undisturbed: the same episodes without any.
         ladders: of every kind.
         made_from: run, seeds, versions.
+        kinds: of ladders that were asked for; none are all.
     """
 
     bar: float
@@ -85,6 +87,16 @@ class Robustness:
     undisturbed: Measured
     ladders: tuple[Ladder, ...]
     made_from: Mapping[str, Any]
+    kinds: tuple[str, ...] = ()
+
+    @property
+    def weak(self) -> bool:
+        """Whether the policy is below the bar without any disturbance: none can be blamed."""
+        return self.undisturbed.success is not None and self.undisturbed.success < self.bar
+
+    def first_below(self, ladder: Ladder) -> str | None:
+        """The weakest setting of a ladder below the bar, ``undisturbed`` where that is."""
+        return self.undisturbed.setting if self.weak else ladder.first_below(self.bar)
 
     def write(self, folder: Path) -> None:
         """Writes the numbers and the table into ``folder``, which is made."""
@@ -92,7 +104,7 @@ class Robustness:
         write_atomically(folder / TABLE, self.markdown() + "\n")
         told = asdict(self)
         for ladder, plain in zip(self.ladders, told["ladders"], strict=True):
-            plain["first_below"] = ladder.first_below(self.bar)
+            plain["first_below"] = self.first_below(ladder)
         write_atomically(folder / ROBUSTNESS, as_json(told, indent=2) + "\n")
 
     @classmethod
@@ -102,7 +114,7 @@ class Robustness:
         Raises:
             RunDirectoryError: If it is missing or damaged.
         """
-        remedy = f"make it with: make robust RUN={path.parent}"
+        remedy = f"make it with: {again.command('robust', path.parent, again.task_of(path.parent))}"
         try:
             told = json.loads(path.read_text())
             return cls(
@@ -114,6 +126,7 @@ class Robustness:
                     for of in told["ladders"]
                 ),
                 made_from=told["made_from"],
+                kinds=tuple(told.get("kinds", ())),  # files of before have none
             )
         except OSError as error:
             raise RunDirectoryError(
@@ -129,7 +142,9 @@ class Robustness:
                 ladder.what,
                 *(f"{m.setting}: {m.text}" for m in ladder.settings),
                 *[""] * (self.most - len(ladder.settings)),
-                ladder.first_below(self.bar) or ladder.unbroken,
+                "undisturbed already"
+                if self.weak
+                else ladder.first_below(self.bar) or ladder.unbroken,
             ]
             for ladder in self.ladders
         ]
@@ -145,6 +160,19 @@ class Robustness:
         levels = [f"level {i + 1}" for i in range(self.most)]
         return ["disturbance", *levels, f"first below {100 * self.bar:g} %"]
 
+    @property
+    def command(self) -> str:
+        """That makes it again."""
+        return again.command(
+            "robust",
+            self.made_from["run"],
+            {"name": self.made_from.get("task")},
+            self.made_from.get("overrides") or (),
+            EPISODES=self.episodes,
+            BAR=f"{self.bar:g}",
+            ONLY=",".join(self.kinds),
+        )
+
     def markdown(self) -> str:
         """The table, with what it is of."""
         made = self.made_from
@@ -155,12 +183,19 @@ class Robustness:
                 f"Success in % of {self.episodes} episodes of each setting (seed "
                 f"{made['evaluation_seed']}), with Wilson's 95 % interval. Undisturbed: "
                 f"{self.undisturbed.text}.",
-                f"Again: `make robust RUN={made['run']} EPISODES={self.episodes}`.",
+                *_weakness(self),
+                f"Again: `{self.command}`.",
                 "",
                 tabulate(self.rows(), self.headers, tablefmt="github", disable_numparse=True),
                 *_refusals(self.ladders),
             ]
         )
+
+
+def _weakness(found: Robustness) -> list[str]:
+    bar = f"{100 * found.bar:g} %"
+    told = f"The undisturbed policy is itself below the bar of {bar}: no setting is what breaks it."
+    return [told] if found.weak else []
 
 
 def _refusals(ladders: Sequence[Ladder]) -> list[str]:

@@ -14,6 +14,7 @@ from pipeline.files.curves import FRAMES, last_wall_s
 from pipeline.files.run_files import CHECKPOINTS, CONFIG, EVALUATION, VERSIONS, RunDirectoryError
 from pipeline.files.time_use import TimeUse
 from pipeline.recipe import Recipe
+from pipeline.results import again
 from pipeline.results.cells import OWN, Cell
 from pipeline.results.demonstrators import Demonstrators, demonstrators
 from pipeline.results.rows import ORDER, Seed, load_seed
@@ -118,6 +119,10 @@ def _without_folders(run: Seed) -> Seed:
     return Seed({**run.evaluation, "made_from": made_from}, run.curve, run.alarms, run.run_dir)
 
 
+def _again(run: Seed) -> str:
+    return again.evaluate(Path(run.run_dir or ""))
+
+
 def _require_one_run(recipe: Recipe, run: Seed) -> None:
     made_from = run.evaluation["made_from"]
     told = {key: made_from.get(key) for key in SAME} | {"task": task_of(made_from)}
@@ -128,7 +133,7 @@ def _require_one_run(recipe: Recipe, run: Seed) -> None:
         if told[key] != value:
             raise RunDirectoryError(
                 f"{run.run_dir}: its {EVALUATION} is of {key} {told[key]!r} and its {CONFIG} of "
-                f"{value!r}; make it again with: make eval RUN={run.run_dir}"
+                f"{value!r}; make it again with: {_again(run)}"
             )
 
 
@@ -139,14 +144,14 @@ def _require_its_end(recipe: Recipe, run: Seed) -> None:
     if found is None:
         raise RunDirectoryError(
             f"{run.run_dir}: its {EVALUATION} is of {name}, which is no checkpoint of a run; make "
-            f"it again with: make eval RUN={run.run_dir}"
+            f"it again with: {_again(run)}"
         )
     judged = int(found[1])
     reached = max([judged, *_checkpoints(run.run_dir), *(int(row[FRAMES]) for row in run.curve)])
     if judged < reached:
         raise RunDirectoryError(
             f"{run.run_dir}: its {EVALUATION} is older than the run, of {judged} frames or updates "
-            f"where it has {reached}; make it again with: make eval RUN={run.run_dir}"
+            f"where it has {reached}; make it again with: {_again(run)}"
         )
     total = recipe.bc.updates if recipe.offline else recipe.collector.total_frames
     if judged < total:

@@ -12,6 +12,7 @@ from tabulate import tabulate
 from envs import find_task
 from envs.intervals import wilson
 from envs.reference import Column, Reference
+from envs.task import MissingCapabilityError
 
 RETURN = "return_mean"
 FORMER = {"steps_to_success_median": "steps_to_open_median"}
@@ -64,7 +65,14 @@ def reference_of(evaluations: Sequence[Mapping[str, Any]]) -> Reference:
     tasks = {task_of(evaluation["made_from"]) for evaluation in evaluations}
     if len(tasks) != 1:
         raise ValueError(f"a table is of one task, and these runs are of {sorted(tasks)}")
-    reference: Reference = find_task(tasks.pop()).require("reference", "make table")
+    name = tasks.pop()
+    reference: Reference | None = find_task(name).reference
+    if reference is None:
+        raise MissingCapabilityError(
+            f"make table sets runs beside published rows, and task {name} has none (the "
+            "`reference` of a Task, envs/reference.py): of any task, make report RUNS=... sets "
+            "runs beside one another"
+        )
     return reference
 
 

@@ -15,6 +15,7 @@ from envs.door.definition import TASK
 from losses import LinearWeight
 from pipeline.learn.critics import BatchedCritics
 from pipeline.learn.networks import make_actor
+from pipeline.recipe import Recipe
 from pipeline.trainer import Run
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch, write_demos
 
@@ -65,3 +66,16 @@ def test_the_term_of_the_page_is_part_of_the_objective():
     action = names["actor"](names["batch"].select("observation"))
     assert action["action"].shape == (8, ACTION_SIZE)
     assert float(names["losses"]["centre"]) >= 0.0
+
+
+def test_the_python_of_the_page_names_a_task_and_demonstrations_of_ones_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "my_task.py").write_text("def make(): ...\n")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(compile(snippet("own"), str(TUTORIAL), "exec"), names)
+    recipe = names["recipe"]
+    assert isinstance(recipe, Recipe)
+    assert recipe.task.name == "my_task.py:make"
+    assert recipe.demos.source == "demos.h5"

@@ -116,6 +116,8 @@ BROKEN = {
     "raises": ("x = 1\n\ny = {}['x']\n", "", r"cannot import mine.py, line 3 \(KeyError: 'x'\)"),
     "syntax": ("x = 1\ndef f(:\n", "", r"cannot import mine.py, line 2 \(SyntaxError"),
     "exits": ("import sys\nsys.exit(3)\n", "", r"cannot import mine.py, line 2 \(SystemExit: 3\)"),
+    "relative": ("from .constants import STEP\n", "",
+                 r"line 1 \(ImportError: attempted rel.*PYTHONPATH=.*TASK=gymnasium:MODULE:ID"),
     "missing": ("import x_missing\n", "", r"line 1 \(ModuleNotFoundError: No module named 'x_mi"),
     "no_name": ("\ndef f(): ...\n", ":g", r"'g' is not there; .*found: f \(line 2\)"),
     "no_task": ("TASK = 3\n", "", r"'TASK' is of type int; expected a Task, .*found: nothing"),

@@ -98,6 +98,14 @@ def test_eval_writes_and_prints_the_columns(command: Command, trained: Path):
     assert str(trained / "evaluation.json") in printed
 
 
+def test_eval_prints_no_row_of_what_is_not_known(command: Command, trained: Path):
+    _, printed, _ = command("eval", trained, "--episodes", 2)
+    result = json.loads((trained / "evaluation.json").read_text())
+    unknown = [key for key, value in result.items() if value is None]
+    assert unknown, "the file keeps them"
+    assert not [key for key in unknown if key in printed]
+
+
 def test_eval_takes_another_file_seed_and_action(command: Command, trained: Path, tmp_path: Path):
     def evaluated(name: str, *overrides: str) -> dict:
         out = tmp_path / "new" / name
@@ -141,7 +149,8 @@ def test_robust_writes_a_table_and_a_figure(command: Command, trained: Path, tmp
     assert code == 0
     assert (out / "robustness.png").is_file()
     (ladder,) = json.loads((out / "robustness.json").read_text())["ladders"]
-    assert ladder["first_below"] == "0.05"
+    assert ladder["first_below"] == "undisturbed"  # forty frames open nothing
+    assert f"make robust RUN={trained} EPISODES=1 BAR=0.5 ONLY=action_noise`." in printed
     assert "noise on actions" in printed
     code, _, error = command("robust", trained, "--only", "wind")
     assert code == 1

@@ -144,12 +144,70 @@ def test_an_episode_that_cannot_be_replayed_is_left_out_and_told(tmp_path: Path)
         load_demonstrations(path, task)
 
 
-@pytest.mark.parametrize(("bad", "code"), [(0, 1), (None, 0)])
+@pytest.mark.parametrize(("bad", "usable", "code"), [(0, 0, 1), (None, 1, 0)])
 def test_the_command_fails_where_nothing_is_usable(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: int | None, code: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: int | None, usable: int, code: int
 ):
     path = seated(tmp_path / "n.npz", [0.2], bad=bad)
     monkeypatch.setattr(cli, "find_task", {"toy": TASK}.__getitem__)
     result = CliRunner().invoke(cli.app, ["demos-check", str(path), "--task", "toy"])
     assert result.exit_code == code
-    assert f"n.npz: {1 - code} usable of 1 episodes" in result.output
+    assert f"n.npz: {usable} usable of 1 episodes" in result.output
+
+
+def test_the_command_fails_where_training_refuses_one_of_several_episodes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    path = seated(tmp_path / "n.npz", [0.2, 0.8, 0.5], bad=1)
+    with pytest.raises(DemonstrationError) as training:
+        load_demonstrations(str(path), TASK, DemoOptions(resimulate=False))
+    monkeypatch.setattr(cli, "find_task", {"toy": TASK}.__getitem__)
+    result = CliRunner().invoke(cli.app, ["demos-check", str(path), "--task", "toy"])
+    assert result.exit_code == 1
+    assert f"training refuses this source: {training.value}" in result.output
+    assert "no setting leaves single episodes out" in result.output
+
+
+def test_what_passes_as_it_was_recorded_names_the_setting(tmp_path: Path):
+    def replay(episodes, *, num_threads=None):
+        raise DemonstrationError(episodes[0].provenance, "diverges", "Remove it")
+
+    task = dataclasses.replace(TASK, resimulate=replay)
+    check = check_demonstrations(str(seated(tmp_path / "n.npz", [0.2, 0.8])), task)
+    assert check.refusal is not None
+    assert 'ARGS="demos.resimulate=false"' in check.refusal
+    assert check.refusal in check.text
+
+
+@pytest.mark.parametrize(
+    ("reach", "largest", "told"), [(5.0, 0.9, True), (5.0, 1.2, False), (1.5, 0.9, False)]
+)
+def test_actions_that_look_normalised_are_remarked_and_used(
+    tmp_path: Path, reach: float, largest: float, told: bool
+):
+    schema = dataclasses.replace(SCHEMA, action_low=(-1.0, -reach), action_high=(1.0, reach))
+    actions = np.full((5, 2), 0.5, dtype=np.float32)
+    actions[2, 1] = largest
+    path = write_npz(
+        tmp_path / "n.npz", [toy_episode(0, actions=actions)], **{"start/seat": np.ones((1, 1))}
+    )
+    check = check_demonstrations(str(path), dataclasses.replace(TASK, demos=schema))
+    assert check.refusal is None
+    remark = "n.npz: all actions lie within [-1, 1], and the task's within [-5, 5]: if they were"
+    assert (remark in check.text) is told
+
+
+def test_actions_of_a_refused_episode_forbid_the_remark(tmp_path: Path):
+    schema = dataclasses.replace(SCHEMA, action_low=(-5.0, -5.0), action_high=(5.0, 5.0))
+    path = seated(tmp_path / "n.npz", [0.2, 0.8], bad=1)
+    check = check_demonstrations(str(path), dataclasses.replace(TASK, demos=schema))
+    assert check.usable == 1
+    assert "all actions lie within" not in check.text
+
+
+def test_a_recording_of_this_project_needs_no_remark_on_its_units(tmp_path: Path):
+    schema = dataclasses.replace(SCHEMA, action_low=(-5.0, -5.0), action_high=(5.0, 5.0))
+    start = {"seat": np.ones(1)}
+    write_demonstrations(tmp_path / "n.h5", [toy_episode(0, start=start)], {}, schema=schema)
+    check = check_demonstrations(str(tmp_path / "n.h5"), dataclasses.replace(TASK, demos=schema))
+    assert "all actions lie within" not in check.text

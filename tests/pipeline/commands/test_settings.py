@@ -32,6 +32,11 @@ def test_without_words_every_key_is_told_once() -> None:
     assert sections <= {key.split(".")[0] for key in told}
 
 
+def test_nothing_found_for_several_words_says_what_each_of_them_finds() -> None:
+    with pytest.raises(ValueError, match=r"alone, 'playback' finds 1 and 'lambada' finds none"):
+        about(["playback", "lambada"])
+
+
 def test_nothing_found_says_what_there_is() -> None:
     with pytest.raises(ValueError, match=r"no setting is about 'lambada': .*demos\.multiply"):
         about(["lambada"])

@@ -278,6 +278,37 @@ def test_a_command_says_again_what_the_evaluation_was_told(tmp_path: Path):
     ]  # fmt: skip
 
 
+def test_a_command_names_a_task_of_ones_own_that_only_the_run_names(tmp_path: Path):
+    """As after an evaluation with TRUST=1: its overrides do not name the task."""
+    run = make_run(tmp_path / "run", task="my tasks/lift.py:LIFT")
+    found = line(reported(run), "provenance", f"{tmp_path.name}/run")["again with"]
+    assert "TASK=my tasks/lift.py:LIFT" in shlex.split(found)
+
+
+def test_a_command_names_files_of_ones_own_that_only_the_run_names(tmp_path: Path):
+    task = {"name": "gymnasium:A-v0", "success": "rules.py:won"}
+    run = make_run(tmp_path / "run")
+    (run / "config.yaml").write_text(f"variant: bc\ntask: {task}\n")
+    found = line(reported(run), "provenance", f"{tmp_path.name}/run")["again with"]
+    assert "ARGS=task.success=rules.py:won" in shlex.split(found)
+
+
+def test_the_remedy_for_an_outdated_evaluation_names_a_task_of_ones_own(tmp_path: Path):
+    run = make_run(tmp_path / "run", task="my tasks/lift.py:LIFT")
+    (run / "checkpoints" / f"checkpoint-{80:012d}").mkdir(parents=True)
+    (said,) = section(reported(run), "missing").absent
+    assert said.endswith(f"with: make eval RUN={run} TASK='my tasks/lift.py:LIFT'")
+
+
+def test_a_run_without_an_evaluation_names_a_task_of_ones_own(tmp_path: Path):
+    run = make_run(tmp_path / "run", task="lift.py:LIFT")
+    (run / "evaluation.json").unlink()
+    made = reported(run)
+    assert section(made, "missing").absent[0].endswith(f"make eval RUN={run} TASK=lift.py:LIFT")
+    found = line(made, "provenance", f"{tmp_path.name}/run")["again with"]
+    assert found == f"make eval RUN={run} TASK=lift.py:LIFT"
+
+
 # ------------------------------------------------------------------------------------ missing files
 
 

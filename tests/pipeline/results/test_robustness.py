@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +28,7 @@ MADE_FROM = {"run": "runs/mine", "evaluation_seed": 5}
 
 def found(bar: float = 0.9) -> Robustness:
     whole = Measured("undisturbed", 1.0, (0.93, 1.0), 2100.0)
-    return Robustness(bar, 50, whole, (DELAYS, HEIGHT), MADE_FROM)
+    return Robustness(bar, 50, whole, (DELAYS, HEIGHT), MADE_FROM, kinds=("delay",))
 
 
 def test_the_first_setting_below_the_bar():
@@ -61,6 +62,48 @@ def test_the_table_has_a_line_a_ladder_with_intervals(tmp_path: Path):
     withstood = replace(found(), ladders=(Ladder("delay", "delay", DELAYS.settings[:1]),))
     assert withstood.rows()[0][-1] == "none of these"
     assert "- refused: it jams" in lines
+
+
+def again(**made_from: object) -> list[str]:
+    """Words of the command that the table ends its head with."""
+    told = replace(found(), kinds=("delay", "mass"), made_from=MADE_FROM | made_from).markdown()
+    line = next(line for line in told.splitlines() if line.startswith("Again: "))
+    return shlex.split(line.removeprefix("Again: `").removesuffix("`."))
+
+
+def test_the_command_again_has_what_it_was_asked():
+    assert again(task="door") == [
+        "make", "robust", "RUN=runs/mine", "EPISODES=50", "BAR=0.9", "ONLY=delay,mass",
+    ]  # fmt: skip
+
+
+def test_the_command_again_names_a_task_of_ones_own_and_further_settings():
+    assert again(
+        run="my runs/a",
+        task="my tasks/lift.py:LIFT",
+        overrides=['task.name="my tasks/lift.py:LIFT"', "env.horizon=7"],
+    )[2:] == [
+        "RUN=my runs/a", "EPISODES=50", "BAR=0.9", "ONLY=delay,mass",
+        "TASK=my tasks/lift.py:LIFT", "ARGS=env.horizon=7",
+    ]  # fmt: skip
+
+
+def test_what_breaks_a_policy_is_not_told_where_it_fails_undisturbed(tmp_path: Path):
+    weak = replace(found(), undisturbed=Measured("undisturbed", 0.7, (0.6, 0.8), 900.0))
+    assert [row[-1] for row in weak.rows()] == ["undisturbed already"] * 2
+    assert "undisturbed policy is itself below the bar of 90 %" in weak.markdown()
+    assert "itself below" not in found().markdown()
+    weak.write(tmp_path)
+    told = json.loads((tmp_path / ROBUSTNESS).read_text())
+    assert [ladder["first_below"] for ladder in told["ladders"]] == ["undisturbed", "undisturbed"]
+
+
+def test_a_file_of_before_it_kept_the_kinds_is_read(tmp_path: Path):
+    found().write(tmp_path)
+    told = json.loads((tmp_path / ROBUSTNESS).read_text())
+    del told["kinds"]
+    (tmp_path / ROBUSTNESS).write_text(json.dumps(told))
+    assert Robustness.read(tmp_path / ROBUSTNESS).kinds == ()
 
 
 def test_a_figure_is_drawn(tmp_path: Path):

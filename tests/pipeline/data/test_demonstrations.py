@@ -1,0 +1,40 @@
+"""What training says of demonstrations that it loads."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from envs import Task
+from pipeline.data.demonstrations import DemosSettings, make_demonstrations
+from pipeline.data.rows import TransitionRows
+from tests.demonstrations.files_of_others import SCHEMA, toy_episode, write_npz
+
+
+def no_env(_: object):
+    raise AssertionError("needs no environment")
+
+
+def test_training_warns_of_actions_that_look_normalised_and_uses_them(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    wide = dataclasses.replace(SCHEMA, action_low=(-5.0, -5.0), action_high=(5.0, 5.0))
+    task = Task(name="toy", make_env=no_env, demos=wide)
+    path = write_npz(tmp_path / "n.npz", [toy_episode(0)])
+    with caplog.at_level(logging.WARNING):
+        loaded = make_demonstrations(
+            DemosSettings(source=str(path)),
+            task,
+            TransitionRows(gamma=0.99),
+            cache_dir=tmp_path,
+            num_threads=1,
+        )
+    assert len(loaded.episodes) == 1
+    assert np.abs(loaded.episodes[0].actions).max() < 0.2
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert "n.npz: all actions lie within [-1, 1], and the task's within [-5, 5]" in said
+    assert "\n" not in said
