@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import yaml
 
-from pipeline.files.curves import read_lines
+from pipeline.files.curves import count_no_rows, read_lines
 from pipeline.files.run_files import (
     ALARMS,
     CHECKPOINTS,
@@ -167,7 +167,7 @@ def _of_directory(path: Path) -> ReportRun:
     if not curve and not (path / LEARNING_CURVE).is_file():
         reader.missing.append(f"{path / LEARNING_CURVE}: no learning curve")
     for file in (path / LEARNING_CURVE, path / ALARMS):
-        if lost := _unreadable(file):
+        if lost := count_no_rows(file):
             reader.missing.append(f"{file} is damaged: lines that are no row are left out: {lost}")
     episodes, progress = _tables(reader, path / EVALUATION, evaluation)
     reader.missing.extend(_outdated(path, evaluation))
@@ -246,20 +246,6 @@ def flat(values: Json, prefix: str = "") -> dict[str, Any]:
         name = f"{prefix}{key}"
         found |= flat(value, f"{name}.") if isinstance(value, dict) and value else {name: value}
     return found
-
-
-def _unreadable(path: Path) -> int:
-    """Lines that are no JSON, which ``read_lines`` leaves out: half-written ones, for instance."""
-    lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
-    return sum(not _is_json(line) for line in lines)
-
-
-def _is_json(text: str) -> bool:
-    try:
-        json.loads(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _yaml(path: Path) -> Json:
