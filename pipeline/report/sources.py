@@ -35,6 +35,10 @@ from pipeline.results.robustness import ROBUSTNESS, Robustness
 from pipeline.results.rows import ROWS, SEED, parse_published
 
 Read = TypeVar("Read")
+BROKEN = (
+    OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, yaml.YAMLError
+)  # fmt: skip
+"""What reading a broken file raises."""
 Json = Mapping[str, Any]
 
 
@@ -154,7 +158,7 @@ class _Reader:
     def __call__(self, read: Callable[[], Read], otherwise: Read) -> Read:
         try:
             return read()
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError) as error:
+        except BROKEN as error:
             self.missing.append(" ".join(str(error).split()))
             return otherwise
 
@@ -260,7 +264,7 @@ def _object(path: Path) -> Json:
         return {}
     try:
         content = json.loads(path.read_text())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is damaged ({error})") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path} holds no object")

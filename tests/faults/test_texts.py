@@ -64,9 +64,10 @@ def test_a_configuration_that_was_changed_is_refused_until_its_sum_goes(tmp_path
 
 
 EVALUATED = {
+    "episodes": 10,
     "return_mean": 12.25,
     "stages": {"open": 0.1},
-    "made_from": {"variant": "bc", "seed": 3, "nothing": None},
+    "made_from": {"run": "runs/x", "variant": "bc", "seed": 3, "nothing": None},
 }
 
 
