@@ -120,6 +120,7 @@ def test_a_text_that_cannot_be_written_leaves_the_old_one_alone(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match="No space left") as failed:
         write_atomically(path, "new")
+    assert failed.value.filename == str(path), "a write alone says no name"
     assert [one.read_text() for one in tmp_path.iterdir()] == ["old"]
