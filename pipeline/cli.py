@@ -24,6 +24,7 @@ from pipeline.commands.record import record_demonstrations
 from pipeline.commands.robust import BAR, robustness
 from pipeline.commands.robust import EPISODES as EPISODES_A_SETTING
 from pipeline.commands.settings import about
+from pipeline.files.full_disk import told
 from pipeline.files.run_files import EVALUATION, as_json, write_atomically
 from pipeline.film.choice import Choice
 from pipeline.machine.extras import require_extras
@@ -37,7 +38,6 @@ app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_
 USER_ERRORS = (
     DemonstrationError,
     ImportError,
-    OSError,
     RenderingUnavailableError,
     TaskFailedError,
     ValueError,
@@ -323,6 +323,8 @@ def main() -> None:
     except NonFiniteError as error:
         typer.echo(f"error: {error}", err=True)
         sys.exit(EXIT_CODE)
+    except OSError as error:
+        sys.exit(f"error: {told(error)}")
     except USER_ERRORS as error:
         sys.exit(f"error: {error}")
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.flatten import Flattener
+from envs.library import calls
 from envs.library.memory import require_memory
 from envs.library.state import restore_state, save_state
 from envs.task import TaskFailedError
@@ -112,7 +113,7 @@ class Copies:
         """
         for i, seed in zip(copies, seeds, strict=True):
             try:
-                observation, info = self.envs[i].reset(seed=int(seed))
+                observation, info = calls.reset(self.envs[i], seed=int(seed))
                 self._write(i, observation, info)
             # Whatever somebody's environment raises is told in one line.
             except Exception as error:
@@ -131,7 +132,7 @@ class Copies:
         for i in copies:
             try:
                 # Some keep the action they were given, and the buffer is written again.
-                result = self.envs[i].step(buffers.action[i].copy())
+                result = calls.step(self.envs[i], buffers.action[i].copy())
                 observation, reward, terminated, truncated, info = result
                 self._write(i, observation, info)
                 buffers.reward[i] = reward
@@ -164,9 +165,19 @@ class Copies:
             restore_state(env, {key: values[i] for key, values in state.items()})
 
     def close(self) -> None:
-        """Close all copies."""
-        for env in self.envs:
-            env.close()
+        """Close all copies.
+
+        Raises:
+            TaskFailedError: an environment raised; the others are closed all the same.
+        """
+        failed = None
+        for i, env in enumerate(self.envs):
+            try:
+                env.close()
+            except Exception as error:
+                failed = failed or self._failed(i, "in close()", error)
+        if failed is not None:
+            raise failed
 
     def _write(self, i: int, observation: Any, info: Mapping[str, Any]) -> None:
         self.layout.flattener.write(observation, self.buffers.observation[i])
@@ -174,7 +185,8 @@ class Copies:
             self.buffers.info[i, k] = info.get(key, np.nan)
 
     def _failed(self, i: int, when: str, error: Exception) -> TaskFailedError:
+        copy = f"task {self.layout.name}: copy {self.first + i}"
+        if isinstance(error, calls.OtherApiError):
+            return TaskFailedError(f"{copy} {when}: {error}")
         told = " ".join(f"{type(error).__name__}: {error}".split())
-        return TaskFailedError(
-            f"task {self.layout.name}: copy {self.first + i} raised {when}: {told}"
-        )
+        return TaskFailedError(f"{copy} raised {when}: {told}")

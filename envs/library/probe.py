@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
 from envs.flatten import Flattener, UnsupportedSpaceError
+from envs.library import calls
 from envs.library.actions import ActionScale, UnsupportedActionsError
 from envs.library.copies import Layout
 from envs.library.layers import time_limit
@@ -53,32 +55,41 @@ def probe(single: SingleEnv) -> Probed:
     Raises:
         UnknownTaskError: it cannot be made.
         ValueError: its spaces, or what the options ask of it, are not supported.
-        TaskFailedError: it raised.
+        TaskFailedError: it raised, or does not keep to gymnasium's API.
     """
     options = single.options
     reward = reward_function(options)
     env = single()
+    with _closed(single.name, env), quiet(single.name):
+        flattener, actions = _spaces(single.name, env)
+        told, step_s = _told(single.name, env)
+        signals = success_signal(options.success, told), progress_signal(options.progress)
+        for key, signal in zip(("success", "progress"), signals, strict=True):
+            if signal is not None and signal.info is not None:
+                _require_told(single.name, env, f"task.{key}", signal.info, told)
+        info = tuple(sorted({s.info for s in signals if s is not None and s.info is not None}))
+        layout = Layout(single.name, flattener, info, actions.shape, actions.dtype)
+        interface = Interface(layout, actions, *signals, reward, _resumes(single.name, env))
+        return Probed(
+            interface,
+            time_limit(env),
+            step_s,
+            start_state(env),
+            shows=tuple(map(str, env.metadata.get("render_modes") or ())),
+            pictures_per_second=float(env.metadata.get("render_fps") or PICTURES_PER_SECOND),
+        )
+
+
+@contextlib.contextmanager
+def _closed(name: str, env: Env) -> Iterator[None]:
+    """Closes ``env`` in the end; of several errors the first counts."""
     try:
-        with quiet(single.name):
-            flattener, actions = _spaces(single.name, env)
-            told, step_s = _told(single.name, env)
-            signals = success_signal(options.success, told), progress_signal(options.progress)
-            for key, signal in zip(("success", "progress"), signals, strict=True):
-                if signal is not None and signal.info is not None:
-                    _require_told(single.name, env, f"task.{key}", signal.info, told)
-            info = tuple(sorted({s.info for s in signals if s is not None and s.info is not None}))
-            layout = Layout(single.name, flattener, info, actions.shape, actions.dtype)
-            interface = Interface(layout, actions, *signals, reward, _resumes(single.name, env))
-            return Probed(
-                interface,
-                time_limit(env),
-                step_s,
-                start_state(env),
-                shows=tuple(map(str, env.metadata.get("render_modes") or ())),
-                pictures_per_second=float(env.metadata.get("render_fps") or PICTURES_PER_SECOND),
-            )
-    finally:
-        env.close()
+        yield
+    except BaseException:
+        with contextlib.suppress(Exception):
+            env.close()
+        raise
+    _tried(name, env.close, "in close()")
 
 
 def _spaces(name: str, env: Env) -> tuple[Flattener, ActionScale]:
@@ -91,16 +102,16 @@ def _spaces(name: str, env: Env) -> tuple[Flattener, ActionScale]:
 def _told(name: str, env: Env) -> tuple[frozenset[str], float]:
     """Keys of ``info`` in the first steps, and the seconds of the fastest of them."""
     env.action_space.seed(0)
-    told = set(_tried(name, lambda: env.reset(seed=0))[1])
+    told = set(_tried(name, lambda: calls.reset(env, seed=0))[1])
     seconds = []
     for _ in range(STEPS):
-        step = partial(env.step, env.action_space.sample())
+        step = partial(calls.step, env, env.action_space.sample())
         began = time.perf_counter()
         _, _, terminated, truncated, info = _tried(name, step)
         seconds.append(time.perf_counter() - began)
         told |= set(info)
         if terminated or truncated:
-            _tried(name, env.reset)
+            _tried(name, lambda: calls.reset(env))
     return frozenset(told), min(seconds)
 
 
@@ -108,9 +119,9 @@ def _require_told(name: str, env: Env, key: str, wanted: str, told: frozenset[st
     if wanted in told:
         return
     seen = set(told)
-    _tried(name, lambda: env.reset(seed=0))
+    _tried(name, lambda: calls.reset(env, seed=0))
     for _ in range(SEARCHED):
-        step = partial(env.step, env.action_space.sample())
+        step = partial(calls.step, env, env.action_space.sample())
         _, _, terminated, truncated, info = _tried(name, step)
         seen |= set(info)
         if wanted in info:
@@ -128,10 +139,12 @@ def _resumes(name: str, env: Env) -> bool:
     return bool(_tried(name, lambda: continues_exactly(env)))
 
 
-def _tried(name: str, use: Callable[[], Any]) -> Any:
+def _tried(name: str, use: Callable[[], Any], when: str = "when tried") -> Any:
     try:
         return use()
+    except calls.OtherApiError as error:
+        raise TaskFailedError(f"task {name}: {error}") from error
     # Whatever somebody's environment raises is told in one line.
     except Exception as error:
         told = " ".join(f"{type(error).__name__}: {error}".split())
-        raise TaskFailedError(f"task {name}: the environment raised when tried: {told}") from error
+        raise TaskFailedError(f"task {name}: the environment raised {when}: {told}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import signal
 from collections.abc import Callable, Mapping, Sequence
@@ -195,4 +196,6 @@ def _work(
             except (TaskFailedError, ValueError) as error:
                 connection.send(error)
     except EOFError:
-        copies.close()
+        # Nobody is left to tell that one raised.
+        with contextlib.suppress(TaskFailedError):
+            copies.close()

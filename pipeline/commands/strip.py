@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from envs import Task
 from envs.pictures import Picture, Render
+from pipeline.files.run_files import write_atomically
 from pipeline.film.overlay import GREEN, SHADE, WHITE, fit, font
 from pipeline.film.performers import Opens, PolicyPerformer, Run, performer
 from pipeline.film.takes import Moment
@@ -108,7 +109,7 @@ def strip(
     seconds = [i * every / render.steps_per_second for i in range(layout.columns)]
     data = _png(np.concatenate([header(seconds, layout.size), *rows]))
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_bytes(data)
+    write_atomically(out, data)
     return len(data)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeGuard
@@ -22,12 +23,17 @@ LOGS = "logs"
 def read_lines(path: Path) -> list[Row]:
     """Rows of a JSON-lines file of a run, in order of frames; none if there is no such file.
 
-    A line that is no row, such as the half-written last one of a run that was killed, is left out
-    with a warning.
+    A line that is no row, such as the half-written last one of a run that was killed, or one with a
+    number that is too large for a float, is left out with a warning.
     """
     if not path.is_file():
         return []
     return in_order(row for _, row in _parsed(path))
+
+
+def count_no_rows(path: Path) -> int:
+    """Lines of a file that :func:`read_lines` leaves out; 0 if there is no such file."""
+    return sum(row is None for _, row in _lines(path)) if path.is_file() else 0
 
 
 def in_order(rows: Iterable[Mapping[str, Any]]) -> list[Row]:
@@ -60,19 +66,31 @@ def cut_back(run_dir: Path, frames: int) -> None:
 
 
 def _parsed(path: Path) -> Iterable[tuple[str, Row]]:
-    for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1):
-        try:
-            row = json.loads(line)
-        except ValueError:
-            row = None
-        if isinstance(row, dict) and _is_number(row.get(FRAMES)):
+    for number, (line, row) in enumerate(_lines(path), 1):
+        if row is not None:
             yield line, row
         else:
             _logger.warning("%s: line %d is no row (%.40r): it is left out", path, number, line)
 
 
+def _lines(path: Path) -> Iterable[tuple[str, Row | None]]:
+    for line in path.read_text(errors="replace").splitlines():
+        try:
+            row = json.loads(line, parse_int=_integer)
+        except (ValueError, OverflowError, RecursionError):
+            row = None
+        yield line, row if isinstance(row, dict) and _is_number(row.get(FRAMES)) else None
+
+
+def _integer(digits: str) -> int:
+    """An integer that whoever reads the row can make a float of."""
+    number = int(digits)
+    float(number)
+    return number
+
+
 def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, (int, float)) and value == value
+    return isinstance(value, (int, float)) and math.isfinite(value)
 
 
 def _whole_lines(path: Path) -> list[str]:

@@ -57,12 +57,18 @@ def write_atomically(path: Path, text: str | bytes) -> None:
     """Writes ``text`` so that a reader sees the old file or the new one, never a part.
 
     So does one after a power cut. Bytes are written as they are.
+
+    Raises:
+        OSError: If it cannot be written; it names ``path``.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         temporary.write_bytes(text.encode() if isinstance(text, str) else text)
         flush(temporary)
         temporary.replace(path)
+    except OSError as error:
+        # A write that finds no room names no file, and the temporary's name would help nobody.
+        raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
 

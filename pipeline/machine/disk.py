@@ -13,6 +13,7 @@ from torch import Tensor
 from torchrl.data import ReplayBuffer
 from torchrl.trainers import Trainer
 
+from pipeline.files.full_disk import is_full, where_and_what
 from pipeline.files.sealing import Sealing
 
 SPARE = 2**18
@@ -58,9 +59,8 @@ def size_of(component: Any) -> int:
 
 def told(error: OSError) -> str:
     """What went wrong at which file, and the remedy, in one line."""
-    where = f"{error.filename}: " if error.filename else ""
-    said = f"{where}{error.strerror or error}"
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+    said = where_and_what(error)
+    if is_full(error):
         return (
             f"{said}: no space left. The last checkpoint is as it was: free some space and go on "
             "with RESUME=<run directory>."

@@ -75,10 +75,14 @@ def _furthest(row: ReportRow) -> dict[str, float]:
     if told:
         counted = Counter(told)
         return {label: counted[label] / len(told) for label in (NO_STAGE, *order)}
+    known = [(run.evaluation or {}).get("stages") or {} for run in row.evaluated]
     passed = [
-        (1.0, *(float((run.evaluation or {})["stages"][label]) for label in order), 0.0)
-        for run in row.evaluated
+        (1.0, *(float(found[label]) for label in order), 0.0)
+        for found in known
+        if all(label in found for label in order)
     ]
+    if not passed:
+        return {}
     # Of landmarks passed in turn: who got to one and not to the next.
     stops = np.mean([[max(a - b, 0.0) for a, b in pairwise(run)] for run in passed], axis=0)
     return dict(zip((NO_STAGE, *order), stops.tolist(), strict=True))

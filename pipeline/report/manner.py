@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -88,12 +89,12 @@ def _told(row: ReportRow) -> list[Told]:
 
 
 def _mean_shares(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    return {key: float(np.mean([of[key] for of in shares])) for key in shares[0]}
+    return {key: float(np.mean([of.get(key, 0.0) for of in shares])) for key in shares[0]}
 
 
 def _beside(told: Sequence[Told]) -> list[str]:
-    last = [of["progress_at_last_contact"] for of in told if of["progress_at_last_contact"]]
-    free = [of["travel_untouched_mean"] for of in told if of["travel_untouched_mean"] is not None]
+    last = [found for of in told if (found := of.get("progress_at_last_contact"))]
+    free = [mean for of in told if (mean := of.get("travel_untouched_mean")) is not None]
     if not last:
         return ["-", "-"]
     low, middle, high = np.mean(last, axis=0)
@@ -106,11 +107,12 @@ def _beside(told: Sequence[Told]) -> list[str]:
 def _sensitivity(name: str, told: Sequence[Told], words: Mapping[str, str]) -> list[list[str]]:
     lines = []
     for threshold, values in told[0]["sensitivity"].items():
-        in_use = f"{told[0]['thresholds'][threshold]:g}"
+        in_use = f"{told[0]['thresholds'].get(threshold, math.nan):g}"
         for value in values:
             if value == in_use:  # stands in the table above
                 continue
-            shares = _mean_shares([of["sensitivity"][threshold][value] for of in told])
+            tried = [of["sensitivity"].get(threshold, {}) for of in told]
+            shares = _mean_shares([of[value] for of in tried if value in of])
             line = [_percent(shares.get(key, 0.0)) for key in words]
             lines.append([name, f"{threshold} {value}", *line])
     return lines

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import yaml
 
-from pipeline.files.curves import read_lines
+from pipeline.files.curves import count_no_rows, read_lines
 from pipeline.files.run_files import (
     ALARMS,
     CHECKPOINTS,
@@ -36,6 +36,10 @@ from pipeline.results.robustness import ROBUSTNESS, Robustness
 from pipeline.results.rows import ROWS, SEED, parse_published
 
 Read = TypeVar("Read")
+BROKEN = (
+    OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, yaml.YAMLError
+)  # fmt: skip
+"""What reading a broken file raises."""
 Json = Mapping[str, Any]
 
 
@@ -155,7 +159,7 @@ class _Reader:
     def __call__(self, read: Callable[[], Read], otherwise: Read) -> Read:
         try:
             return read()
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, yaml.YAMLError) as error:
+        except BROKEN as error:
             self.missing.append(" ".join(str(error).split()))
             return otherwise
 
@@ -168,7 +172,7 @@ def _of_directory(path: Path) -> ReportRun:
     if not curve and not (path / LEARNING_CURVE).is_file():
         reader.missing.append(f"{path / LEARNING_CURVE}: no learning curve")
     for file in (path / LEARNING_CURVE, path / ALARMS):
-        if lost := _unreadable(file):
+        if lost := count_no_rows(file):
             reader.missing.append(f"{file} is damaged: lines that are no row are left out: {lost}")
     episodes, progress = _tables(reader, path / EVALUATION, evaluation)
     reader.missing.extend(_outdated(path, evaluation))
@@ -250,20 +254,6 @@ def flat(values: Json, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _unreadable(path: Path) -> int:
-    """Lines that are no JSON, which ``read_lines`` leaves out: half-written ones, for instance."""
-    lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
-    return sum(not _is_json(line) for line in lines)
-
-
-def _is_json(text: str) -> bool:
-    try:
-        json.loads(text)
-    except ValueError:
-        return False
-    return True
-
-
 def _yaml(path: Path) -> Json:
     content = yaml.safe_load(path.read_text()) if path.is_file() else {}
     if not isinstance(content, dict):
@@ -276,7 +266,7 @@ def _object(path: Path) -> Json:
         return {}
     try:
         content = json.loads(path.read_text())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is damaged ({error})") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path} holds no object")

@@ -18,6 +18,7 @@ from envs import Task
 from pipeline.act.metrics import Rollouts
 from pipeline.files.run_files import EVALUATION, RunDirectoryError, as_json, write_atomically
 from pipeline.results import again
+from pipeline.results.evaluation_shape import require_evaluation
 
 SUM = "sha256"
 """Key of an evaluation file: of all others and their values."""
@@ -125,22 +126,25 @@ def load_evaluation(path: Path) -> dict[str, Any]:
     """Reads the evaluation of a run directory, or an evaluation file itself.
 
     Raises:
-        RunDirectoryError: If it is missing or not an evaluation.
+        RunDirectoryError: If it is missing, not an evaluation, or holds what no reader could use;
+            the message names the key.
     """
     file = path / EVALUATION if path.is_dir() else path
     if not file.is_file():
         raise RunDirectoryError(f"{file} does not exist; make it with: {again.evaluate(path)}")
     try:
-        evaluation: dict[str, Any] = json.loads(file.read_text())
-        made_from = evaluation["made_from"]
-        if not isinstance(made_from["variant"], str):
-            raise TypeError("its variant has no name")
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        evaluation = json.loads(file.read_text())
+        if not isinstance(evaluation, dict):
+            raise TypeError("it is no object")
+        # Files of before have no sum.
+        intact = evaluation.pop(SUM, written := _sum(evaluation)) == written
+        if intact:
+            require_evaluation(evaluation)
+    except (ValueError, TypeError, RecursionError) as error:
         raise RunDirectoryError(
             f"{file} is not an evaluation ({error}); make it again with: {again.evaluate(path)}"
         ) from error
-    # Files of before have none.
-    if evaluation.pop(SUM, written := _sum(evaluation)) != written:
+    if not intact:
         raise RunDirectoryError(
             f"{file} is not as it was written: damaged, or edited; make it again with: "
             f"{again.evaluate(path)}"

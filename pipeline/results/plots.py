@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 
 from pipeline.files.run_files import RunDirectoryError
 from pipeline.results.curves import on_grid
+from pipeline.results.pictures import save_figure
 from pipeline.results.rows import ResultRow
 from pipeline.results.statistics import interquartile_means
 
 POINTS = 60
 """Of a curve over wall time."""
-DPI = 90
 AXES: Mapping[str, str] = {"frames": "environment frames", "wall_s": "wall time (min)"}
 SCORES: Mapping[str, str] = {
     "success_once": "share of episodes that succeed",
@@ -53,7 +53,7 @@ def plot_curves(rows: Sequence[ResultRow], x: str, path: Path) -> None:
         axis.set(xlabel=AXES[x], ylabel=label)
         axis.grid(alpha=0.3)
     axes[-1].legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
-    figure.savefig(path, dpi=DPI)
+    save_figure(figure, path)
 
 
 def plot_diagnostics(title: str, curves: Sequence[Sequence[Mapping[str, Any]]], path: Path) -> None:
@@ -89,7 +89,7 @@ def plot_diagnostics(title: str, curves: Sequence[Sequence[Mapping[str, Any]]], 
             axis.set_yscale("log")
         axis.grid(alpha=0.3)
         axis.legend(fontsize="small")
-    figure.savefig(path, dpi=DPI)
+    save_figure(figure, path)
 
 
 def _curve(axis: Axes, row: ResultRow, x: str, key: str, colour: Any) -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from pipeline.results.pictures import save_figure
 from pipeline.results.robustness import Robustness
 
-DPI = 90
 DARK = 0.45
 """Success below which a cell is dark and its text white."""
 
@@ -38,4 +38,4 @@ def plot_robustness(found: Robustness, path: Path) -> None:
         fontsize=9,
     )
     figure.colorbar(shown, ax=axes, label="share of episodes that succeed")
-    figure.savefig(path, dpi=DPI)
+    save_figure(figure, path)

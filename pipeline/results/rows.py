@@ -152,7 +152,7 @@ def parse_published(path: Path, content: Mapping[str, Any]) -> Seed:
         points = zip(*curve.values(), strict=True)
         rows = in_order(dict(zip(curve, point, strict=True)) for point in points)
         return Seed(evaluation, tuple(rows), tuple(alarms))
-    except (KeyError, AttributeError, TypeError, ValueError) as error:
+    except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as error:
         raise RunDirectoryError(
             f"{path} is not a published run ({error}); restore or remove it"
         ) from error

@@ -13,6 +13,7 @@ from envs import find_task
 from envs.intervals import wilson
 from envs.reference import Column, Reference
 from envs.task import MissingCapabilityError
+from pipeline.results.evaluation_shape import is_number
 
 RETURN = "return_mean"
 FORMER = {"steps_to_success_median": "steps_to_open_median"}
@@ -96,6 +97,11 @@ def _table(
                     "same task have a place in its tables."
                 )
             value = evaluation[column.key]
+            if value is not None and not is_number(value):
+                raise ValueError(
+                    f"{made_from['run']}: its evaluation's {column.key} is {value!r:.40}, expected "
+                    "a number; make it again with: make eval"
+                )
             interval = over_episodes(evaluation, column)
             ours = cell(column, None) if value is None else with_interval(column, value, interval)
             row.append(f"{ours} / {cell(column, theirs.get(column.key))}")

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
@@ -19,6 +23,31 @@ from envs.demonstrations import (
 )
 from envs.door.demos import SCHEMA
 from tests.demonstrations.helpers import still_episode
+
+
+@contextmanager
+def at_most(size: int) -> Iterator[None]:
+    """No file can grow beyond ``size`` bytes: writing fails in its middle, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("size", [0, 1000, 20_000])
+def test_a_recording_that_cannot_be_written_whole_is_one_error_that_names_it(
+    tmp_path: Path, size: int
+):
+    """HDF5 would go on, and could end the process."""
+    path = tmp_path / "a.h5"
+    path.touch()
+    with at_most(size), pytest.raises(OSError, match="too large") as failed:
+        write_recording(path, [far_episode()] * 20, {})
+    assert (failed.value.errno, failed.value.filename) == (errno.EFBIG, str(path))
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.stat().st_size == 0
 
 
 def far_episode():

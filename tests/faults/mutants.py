@@ -74,11 +74,11 @@ def readers_of_texts(folder: Path) -> list[Reader]:
     config = run / CONFIG
     config.write_text(config.read_text().partition("\n")[2])
     evaluation = run / EVALUATION
-    save_evaluation(
-        evaluation, {"return_mean": 12.25, "stages": {"open": 0.1}, "made_from": {"variant": "bc"}}
-    )
+    made_from = {"run": "runs/x", "variant": "bc", "seed": 3}
+    figures = {"episodes": 10, "return_mean": 12.25, "stages": {"open": 0.1}}
+    save_evaluation(evaluation, figures | {"made_from": made_from})
     plain = json.loads(evaluation.read_text())
-    evaluation.write_text(json.dumps({key: plain[key] for key in list(plain)[:3]}, indent=2))
+    evaluation.write_text(json.dumps({key: plain[key] for key in list(plain)[:4]}, indent=2))
     (curve := run / LEARNING_CURVE).write_text(
         "".join(json.dumps({"frames": i, "return_mean": i / 3}) + "\n" for i in range(9))
     )

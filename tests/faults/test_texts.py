@@ -64,9 +64,10 @@ def test_a_configuration_that_was_changed_is_refused_until_its_sum_goes(tmp_path
 
 
 EVALUATED = {
+    "episodes": 10,
     "return_mean": 12.25,
     "stages": {"open": 0.1},
-    "made_from": {"variant": "bc", "seed": 3, "nothing": None},
+    "made_from": {"run": "runs/x", "variant": "bc", "seed": 3, "nothing": None},
 }
 
 
@@ -119,6 +120,7 @@ def test_a_text_that_cannot_be_written_leaves_the_old_one_alone(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match="No space left") as failed:
         write_atomically(path, "new")
+    assert failed.value.filename == str(path), "a write alone says no name"
     assert [one.read_text() for one in tmp_path.iterdir()] == ["old"]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
+import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -412,6 +414,39 @@ def test_a_full_disk_is_one_line(training: Command, monkeypatch: pytest.MonkeyPa
     code, _, error = training("variant=sac")
     assert code == 1
     assert error.startswith("error: run/logs/x.csv: No space left on device: no space left. The")
+
+
+@pytest.mark.parametrize(
+    ("words", "written"),
+    [
+        (("eval", "--episodes", "1", "--out"), "e.json"),
+        (("plot", "--out"), "p.png"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_what_finds_no_room_names_its_file_and_leaves_the_one_before(
+    command: Command,
+    trained: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: tuple[str, ...],
+    written: str,
+):
+    out = tmp_path / written
+    out.write_text("good")
+    fsync = os.fsync
+
+    def full(handle: int) -> None:
+        if str(tmp_path) in os.readlink(f"/proc/self/fd/{handle}"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    code, _, error = command(words[0], trained, *words[1:], out)
+    assert code == 1
+    assert error.startswith(f"error: {out.parent}/")
+    assert error.endswith(": No space left on device: free some space there, and run this again.")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(written, "good")]
 
 
 def test_a_sweep_runs_all_of_its_jobs_and_reports_those_that_failed(

@@ -98,6 +98,32 @@ class ClockToy(gymnasium.Env):
         return np.array([self.start, self.t, self.speed])
 
 
+class Otherwise(gymnasium.Env):
+    """Keeps to gymnasium's API but for ``what``, in steps from ``since`` on."""
+
+    observation_space = BOX
+    action_space = BOX
+
+    def __init__(self, what: str = "", since: int = 0) -> None:
+        self.what, self.since, self.steps = what, since, 0
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        super().reset(seed=seed)
+        return np.zeros(2) if self.what == "reset" else (np.zeros(2), {})
+
+    def step(self, _action: Any) -> Any:
+        self.steps += 1
+        ends: dict[str, Any] = {"array": np.zeros(3, bool), "nan": float("nan"), "none": None}
+        end = ends.get(self.what, np.array([0.0]))
+        if self.what == "step":
+            return np.zeros(2), 0.0, False, {}
+        return np.zeros(2), 0.0, end if self.steps > self.since else False, False, {}
+
+    def close(self) -> None:
+        if self.what == "close":
+            raise RuntimeError("the window\nis gone")
+
+
 class InnerLimit(ClockToy):
     """Its own time limit cannot be seen from outside of the environment's own wrapper."""
 
@@ -125,3 +151,4 @@ gymnasium.register("Toys/Spaces-v0", SpacesToy, max_episode_steps=5)
 gymnasium.register("Toys/Clock-v0", ClockToy, max_episode_steps=30)
 gymnasium.register("Toys/Endless-v0", ClockToy)
 gymnasium.register("Toys/Inner-v0", limited)
+gymnasium.register("Toys/Otherwise-v0", Otherwise, max_episode_steps=30)

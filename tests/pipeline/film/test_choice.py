@@ -14,9 +14,10 @@ from tests.pipeline.report.making import rollouts
 
 def evaluated(folder: Path, seed: int = 20_000) -> Path:
     """Of ten doors, the first five succeed."""
-    made_from = {"variant": "bc", "task": "door", "evaluation_seed": seed}
+    made_from = {"run": "x", "variant": "bc", "seed": 0, "task": "door", "evaluation_seed": seed}
     columns = episode_columns(TASK, rollouts(5, 10), seed=seed)
-    RunEvaluation({"made_from": made_from}, columns, {}).write(folder / EVALUATION)
+    metrics = {"episodes": 10, "made_from": made_from}
+    RunEvaluation(metrics, columns, {}).write(folder / EVALUATION)
     return folder
 
 

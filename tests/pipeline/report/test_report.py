@@ -455,3 +455,29 @@ def test_some_sections_alone(tmp_path: Path):
     assert "Provenance" not in (tmp_path / "out" / "report.md").read_text()
     with pytest.raises(ValueError, match="ONLY=weather is no section of this report; it has"):
         write_report([run], tmp_path / "out", ["weather"])
+
+
+def test_a_run_with_an_evaluation_that_cannot_be_used_does_not_keep_the_others_out(tmp_path: Path):
+    make_run(tmp_path / "good", successes=5)
+    broken = make_run(tmp_path / "broken") / "evaluation.json"
+    content = json.loads(broken.read_text()) | {"episodes": 0}
+    del content["sha256"]
+    broken.write_text(json.dumps(content))
+    found = reported(tmp_path / "good", tmp_path / "broken")
+    assert line(found, "results", "dbc_sac")["seeds"] == "1"
+    (told,) = (t for t in section(found, "missing").absent if "evaluation.json" in t)
+    assert "its episodes is 0" in told
+
+
+def test_stages_are_of_the_runs_that_tell_them(tmp_path: Path):
+    """Where the table of episodes is missing, and one evaluation is from before there were any."""
+    for seed, further in enumerate(({}, {"stages": {}})):
+        run = make_run(tmp_path / str(seed), seed=seed, successes=5, further=further)
+        (run / "episodes.csv").unlink()
+    assert line(reported(*tmp_path.iterdir()), "stages", "dbc_sac")["there"] == "50.0 %"
+
+
+def test_a_text_is_no_figure(tmp_path: Path):
+    """Of a task's own: those of every task are looked at when the evaluation is read."""
+    make_run(tmp_path / "a", further={"angle_mean_deg": "much"})
+    assert section(reported(tmp_path / "a"), "results").tables

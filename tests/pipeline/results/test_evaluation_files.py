@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,14 +19,19 @@ from pipeline.build import build_run
 from pipeline.cli import app
 from pipeline.files.run_files import EVALUATION, RunDirectoryError
 from pipeline.results.evaluation_files import (
+    SUM,
     RunEvaluation,
     episode_columns,
     load_columns,
+    load_evaluation,
     progress_columns,
 )
+from tests.pipeline.results.evaluated import evaluated
 from tests.pipeline.toys import tiny_config, where
 
 NAN = float("nan")
+RESULTS = Path(__file__).parents[3] / "docs" / "results"
+PUBLISHED = sorted(RESULTS.glob("rows/*/seed*.json"))
 
 
 def rollouts() -> Rollouts:
@@ -132,6 +138,66 @@ def test_a_table_that_cannot_be_read_is_named(tmp_path: Path, text: str | None, 
         (tmp_path / "episodes.csv").write_text(text)
     with pytest.raises(RunDirectoryError, match=message):
         load_columns(tmp_path / "episodes.csv")
+
+
+HOSTILE = (
+    ({"return_mean": 10**400}, "its return_mean is too large for a float"),
+    ({"return_mean": float("inf")}, "its return_mean is inf"),
+    ({"own": {"deep": [10**400]}}, r"its own\.deep is too large for a float"),
+    ({"return_mean": "abc"}, "its return_mean is 'abc', expected a number"),
+    ({"episodes": [1]}, r"its episodes is \[1\], expected a whole number from 1"),
+    ({"episodes": 0}, "its episodes is 0, expected a whole number from 1"),
+    ({"episodes": 10**15}, "its episodes is 10+, expected"),
+    ({"episodes": None}, "it has no episodes"),
+    ({"success_once": 7}, r"its success_once is 7, expected a number in \[0, 1\]"),
+    ({"stages": [1]}, r"its stages is \[1\], expected an object"),
+    ({"stages": {"near": None}}, r"its stages\.near is None, expected a number"),
+    ({"likeness": {"to": "x"}}, r"it has no likeness\.of_demonstrations"),
+    ({"strategies": 3}, "its strategies is 3, expected an object"),
+)
+
+
+@pytest.mark.parametrize(("wrong", "message"), HOSTILE, ids=lambda of: f"{of!s:.40}")
+def test_an_evaluation_with_what_no_reader_could_use_is_named_with_its_key(
+    tmp_path: Path, wrong: dict[str, Any], message: str
+):
+    path = changed(evaluated(tmp_path / "run") / EVALUATION, wrong)
+    with pytest.raises(RunDirectoryError, match=message) as refused:
+        load_evaluation(path)
+    assert str(path) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"versions": 3}, r"made_from\.versions is 3, expected an object"),
+        ({"versions": {"git": 3}}, r"made_from\.versions\.git is 3, expected a text"),
+        ({"seed": "one"}, r"made_from\.seed is 'one', expected a whole number"),
+        ({"variant": None}, r"it has no made_from\.variant"),
+        ({"overrides": [1]}, r"made_from\.overrides is \[1\], expected a list of texts"),
+    ],
+)
+def test_so_is_one_with_an_origin_that_no_reader_could_use(
+    tmp_path: Path, wrong: dict[str, Any], message: str
+):
+    path = evaluated(tmp_path / "run") / EVALUATION
+    origin = json.loads(path.read_text())["made_from"]
+    with pytest.raises(RunDirectoryError, match=message):
+        load_evaluation(changed(path, {"made_from": origin | wrong}))
+
+
+def changed(path: Path, values: dict[str, Any]) -> Path:
+    """The evaluation with other values, as from before there were checksums."""
+    content = json.loads(path.read_text()) | values
+    content.pop(SUM)
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize("path", PUBLISHED, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_every_published_evaluation_can_be_read(path: Path):
+    assert load_evaluation(path)["episodes"] > 0
 
 
 def test_make_eval_writes_them_beside_the_summary(tmp_path: Path, demos: Path):

@@ -125,6 +125,12 @@ def test_an_evaluation_of_another_task_is_refused():
         render([pendulum], PAPER)
 
 
+@pytest.mark.parametrize("value", ["much", [1.0], 10**400], ids=["text", "list", "huge"])
+def test_a_figure_of_the_task_that_is_no_number_is_named(value: object):
+    with pytest.raises(ValueError, match=r"runs/x: its evaluation's angle_mean_deg is .*a number"):
+        render([evaluation(angle_mean_deg=value)], PAPER)
+
+
 def test_a_table_is_of_one_task_that_has_published_rows():
     assert reference_of([evaluation(), evaluation("bc")]) is PAPER
     older = {"made_from": {"env": "door"}}  # of when tasks were called environments
