@@ -217,8 +217,8 @@ def record(
     out: Annotated[
         str | None, typer.Option(help="FILE.h5 (a recording), FILE.hdf5 (D4RL) or minari:ID")
     ] = None,
-    episodes: Annotated[int, typer.Option(help="Successful episodes to keep.")] = 25,
-    attempts: Annotated[int, typer.Option(help="Episodes to try at most.")] = 1000,
+    episodes: Annotated[int, typer.Option(help="Successful episodes to keep.", min=1)] = 25,
+    attempts: Annotated[int, typer.Option(help="Episodes to try at most.", min=1)] = 1000,
     seed: Annotated[int, typer.Option(help="Of the list of episodes.", min=0, max=2**32 - 1)] = 0,
 ) -> None:
     """Record a demonstration set, filtered by success, from RUN's policy or a controller."""

@@ -23,6 +23,7 @@ from pipeline.machine.memory import told_memory
 from pipeline.machine.sweep import note, sweep
 from pipeline.non_finite import EXIT_CODE, NonFiniteError
 from pipeline.recipe import Recipe
+from pipeline.results import again
 from pipeline.run_dir import load_recipe
 
 logger = logging.getLogger(__name__)
@@ -108,7 +109,7 @@ def _train(config: DictConfig, signals: Interruption) -> None:
             file=sys.stderr,
         )
         raise
-    logger.info("done; evaluate it with: make eval RUN=%s%s", run.run_dir, named(recipe))
+    logger.info("done; evaluate it with: %s", again.evaluate(run.run_dir))
 
 
 def named(recipe: Recipe) -> str:

@@ -52,6 +52,8 @@ def step(env: Env, action: Any) -> Stepped:
 def _called(use: Any, name: str) -> Any:
     try:
         return use()
+    except SystemExit as error:  # it would end the run as one that is complete
+        raise RuntimeError(f"sys.exit({error.code!r}) was called") from error
     except (TypeError, ValueError) as error:
         if OLD.search(str(error)) is None:
             raise

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import gymnasium
 import pytest
 
@@ -68,3 +70,14 @@ def test_all_copies_are_closed_before_one_that_raises_is_told():
     with pytest.raises(TaskFailedError, match=r"copy 0 raised in close\(\): .*window is gone"):
         env.close()
     assert closed == ["second"]
+
+
+def test_an_environment_that_ends_the_process_is_told_and_does_not():
+    """With code 0 a run would end as one that is complete."""
+
+    class Quits(gymnasium.Env):
+        def step(self, action):
+            sys.exit(0)
+
+    with pytest.raises(RuntimeError, match=r"^sys\.exit\(0\) was called$"):
+        calls.step(Quits(), None)

@@ -140,12 +140,14 @@ def test_an_environment_that_raises_when_it_is_tried():
 
 def test_copies_are_counted_against_the_free_memory(monkeypatch):
     """Each holds 20 MiB, 30 more are wanted, and 100 MiB are free."""
-    made = []
+    made, block = [], b"x" * (1 << 20)
 
     def one():
-        # Of the system itself: the allocator may serve it from what earlier tests have freed.
+        # Of the system itself, and nothing on the way: the allocator serves what it takes from what
+        # earlier tests have freed, or keeps it.
         made.append(mmap.mmap(-1, 20 << 20))
-        made[-1].write(b"x" * (20 << 20))
+        for _ in range(20):
+            made[-1].write(block)
         return made[-1]
 
     free = psutil.virtual_memory()._replace(available=100 << 20)
