@@ -68,7 +68,7 @@ def write_atomically(path: Path, text: str | bytes) -> None:
         temporary.replace(path)
     except OSError as error:
         # A write that finds no room names no file, and the temporary's name would help nobody.
-        raise OSError(error.errno, error.strerror, str(path)) from error
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -59,6 +59,6 @@ def whole_file(path: Path) -> Iterator[h5py.File]:
     except OSError as error:
         if error.errno is None or str(error.filename) not in ("None", str(temporary)):
             raise  # of HDF5 itself, or of what the block reads
-        raise OSError(error.errno, error.strerror, str(path)) from error
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
