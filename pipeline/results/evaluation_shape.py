@@ -3,62 +3,94 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from itertools import chain
-from typing import Any, Final, Self, TypeGuard
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final, TypeGuard
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 MOST_EPISODES: Final = 10**7
 """An interval over episodes takes a number for each."""
 SHOWN: Final = 40
 """Characters of a wrong value in a message."""
 
-
-@dataclass(frozen=True)
-class Value:
-    """A number, a text or a list of them.
-
-    Attributes:
-        words: what it is.
-        fits: whether a value is one.
-    """
-
-    words: str
-    fits: Callable[[Any], bool]
-
-    def faults(self, value: Any, key: str) -> Iterator[str]:
-        """What is wrong with ``value``, by the dotted ``key`` it stands under."""
-        if not self.fits(value):
-            yield f"its {key} is {repr(value)[:SHOWN]}, expected {self.words}"
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Spread = Annotated[list[float], Field(min_length=3, max_length=3)]
+Numbers = dict[str, float]
 
 
-@dataclass(frozen=True)
-class Fields:
-    """An object.
+class _Object(BaseModel):
+    """Null is as good as absent where a field says so; under other keys stands anything."""
 
-    Attributes:
-        named: what stands under these keys; null is as good as absent.
-        others: what stands under all others; None is anything.
-        required: keys that cannot be absent.
-    """
+    model_config = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
 
-    named: Mapping[str, Value | Self] = field(default_factory=dict)
-    others: Value | Self | None = None
-    required: tuple[str, ...] = ()
 
-    def faults(self, value: Any, key: str = "") -> Iterator[str]:
-        """As :meth:`Value.faults`."""
-        if not isinstance(value, Mapping):
-            yield f"its {key} is {repr(value)[:SHOWN]}, expected an object"
-            return
-        prefix = f"{key}." if key else ""
-        for name in self.required:
-            if value.get(name) is None:
-                yield f"it has no {prefix}{name}"
-        for name, entry in value.items():
-            kind = self.named.get(name, self.others)
-            if kind is not None and (entry is not None or name not in self.named):
-                yield from kind.faults(entry, f"{prefix}{name}")
+class _Movement(_Object):
+    path_distance: Spread | None = None
+    posture_distance: Spread | None = None
+    steps: Spread | None = None
+    speed_mean: Spread | None = None
+    jerk_mean: Spread | None = None
+    log_dimensionless_jerk: Spread | None = None
+    saturated_actions: Spread | None = None
+
+
+class _Likeness(_Movement):
+    to: str
+    of_demonstrations: _Movement
+
+
+class _Strategies(_Object):
+    words: dict[str, str]
+    shares: Numbers
+    thresholds: Numbers
+    sensitivity: dict[str, dict[str, Numbers]]
+    progress_at_last_contact: Spread | None = None
+    travel_untouched_mean: float | None = None
+
+
+class _Versions(_Object):
+    git: str | None = None
+    machine: str | None = None
+    packages: dict[str, str | None] | None = None
+
+
+class _MadeFrom(_Object):
+    run: str
+    variant: str
+    seed: int
+    checkpoint: str | None = None
+    task: str | None = None
+    env: str | None = None
+    reward: str | None = None
+    preset: str | None = None
+    demos: str | None = None
+    demos_sha256: str | None = None
+    exploration: str | None = None
+    bc_weight: float | None = None
+    noise_scale: float | None = None
+    evaluation_seed: int | None = None
+    frames: int | None = None
+    simulator_steps: int | None = None
+    overrides: list[str] | None = None
+    versions: _Versions | None = None
+
+
+class _Evaluation(_Object):
+    """Figures of a task's own are whatever it tells; those of its tables are looked at there."""
+
+    episodes: Annotated[int, Field(ge=1, le=MOST_EPISODES)]
+    made_from: _MadeFrom
+    return_mean: float | None = None
+    return_std: float | None = None
+    length_mean: float | None = None
+    steps_to_success_median: float | None = None
+    progress_max_mean: float | None = None
+    success_once: Share | None = None
+    success_at_end: Share | None = None
+    success_share: Share | None = None
+    stages: Numbers | None = None
+    likeness: _Likeness | None = None
+    strategies: _Strategies | None = None
 
 
 def is_number(value: Any) -> TypeGuard[float]:
@@ -71,83 +103,19 @@ def is_number(value: Any) -> TypeGuard[float]:
         return False
 
 
-def _is_whole(value: Any) -> bool:
-    return is_number(value) and isinstance(value, int)
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-NUMBER: Final = Value("a number", is_number)
-SHARE: Final = Value("a number in [0, 1]", lambda value: is_number(value) and 0 <= value <= 1)
-WHOLE: Final = Value("a whole number", _is_whole)
-EPISODES: Final = Value(
-    f"a whole number from 1 to {MOST_EPISODES}",
-    lambda value: _is_whole(value) and 1 <= value <= MOST_EPISODES,
-)
-TEXT: Final = Value("a text", _is_text)
-TEXT_OR_NULL: Final = Value("a text", lambda value: value is None or _is_text(value))
-TEXTS: Final = Value(
-    "a list of texts", lambda value: isinstance(value, list) and all(map(_is_text, value))
-)
-SPREAD: Final = Value(
-    "a list of three numbers",
-    lambda value: isinstance(value, list) and len(value) == 3 and all(map(is_number, value)),
-)
-LIKENESS: Final = dict.fromkeys(
-    (
-        "path_distance", "posture_distance", "steps", "speed_mean", "jerk_mean",
-        "log_dimensionless_jerk", "saturated_actions",
-    ),
-    SPREAD,
-)  # fmt: skip
-
-EVALUATION: Final = Fields(
-    {
-        "episodes": EPISODES,
-        **dict.fromkeys(("return_mean", "return_std", "length_mean"), NUMBER),
-        **dict.fromkeys(("steps_to_success_median", "progress_max_mean"), NUMBER),
-        **dict.fromkeys(("success_once", "success_at_end", "success_share"), SHARE),
-        "stages": Fields(others=NUMBER),
-        "likeness": Fields(
-            {"to": TEXT, "of_demonstrations": Fields(LIKENESS), **LIKENESS},
-            required=("to", "of_demonstrations"),
-        ),
-        "strategies": Fields(
-            {
-                "words": Fields(others=TEXT),
-                "shares": Fields(others=NUMBER),
-                "thresholds": Fields(others=NUMBER),
-                "sensitivity": Fields(others=Fields(others=Fields(others=NUMBER))),
-                "progress_at_last_contact": SPREAD,
-                "travel_untouched_mean": NUMBER,
-            },
-            required=("words", "shares", "thresholds", "sensitivity"),
-        ),
-        "made_from": Fields(
-            {
-                **dict.fromkeys(("run", "checkpoint", "task", "env", "reward", "variant"), TEXT),
-                **dict.fromkeys(("preset", "demos", "demos_sha256", "exploration"), TEXT),
-                **dict.fromkeys(("bc_weight", "noise_scale"), NUMBER),
-                **dict.fromkeys(("seed", "evaluation_seed", "frames", "simulator_steps"), WHOLE),
-                "overrides": TEXTS,
-                "versions": Fields(
-                    {"git": TEXT, "machine": TEXT, "packages": Fields(others=TEXT_OR_NULL)},
-                ),
-            },
-            required=("run", "variant", "seed"),
-        ),
-    },
-    required=("episodes", "made_from"),
-)
-"""Figures of a task's own are whatever it tells; those of its tables are looked at there."""
-
-
 def require_evaluation(content: Any) -> None:
     """Raises a ValueError that names the first key with a value that no reader could use."""
-    for fault in chain(_unusable(content, ""), EVALUATION.faults(content)):
+    for fault in _unusable(content, ""):
         raise ValueError(fault)
+    try:
+        _Evaluation.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(map(str, first["loc"]))
+        if first["type"] == "missing":
+            raise ValueError(f"it has no {key}") from error
+        expected = first["msg"].partition(" or instance of")[0]  # a class of ours
+        raise ValueError(f"its {key} is {repr(first['input'])[:SHOWN]}: {expected}") from error
 
 
 def _unusable(value: Any, key: str) -> Iterator[str]:
