@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shlex
 import sys
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from configs import prepare, recipe_of, require_known
-from envs.registry import imports_of
 from envs.task import TaskFailedError
 from pipeline.build import build_run
 from pipeline.machine.disk import told
@@ -104,18 +102,10 @@ def _train(config: DictConfig, signals: Interruption) -> None:
         run.train()
     except Interrupted:
         frames = run.trainer.collected_frames
-        print(
-            f"stopped at {frames} frames; go on with: make train RESUME={run_dir}{named(recipe)}",
-            file=sys.stderr,
-        )
+        further = again.command("train", "", again.task_of(run_dir), RESUME=run_dir)
+        print(f"stopped at {frames} frames; go on with: {further}", file=sys.stderr)
         raise
     logger.info("done; evaluate it with: %s", again.evaluate(run.run_dir))
-
-
-def named(recipe: Recipe) -> str:
-    """What a command on this run names again: a task that is somebody's code."""
-    theirs = imports_of(recipe.task.name)
-    return f" TASK={shlex.quote(recipe.task.name)}" if theirs else ""
 
 
 def run_command_line() -> None:
