@@ -8,7 +8,7 @@ import torch
 from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor
 
-from envs import EnvOptions, Task
+from envs import Task
 from envs.disturbed import disturbed
 from envs.task import PROGRESS, SUCCESS, States, has_column
 from losses import BCSACLoss, Proposal
@@ -86,13 +86,9 @@ def make_training_env(recipe: Recipe, task: Task) -> EnvBase:
     """
     randomised = disturbed(task, recipe.task.randomise.disturbance)
     env = randomised.make_env(
-        EnvOptions(
+        recipe.env_options(
             num_envs=recipe.env.num_envs,
             seed=recipe.seed,
-            device=recipe.device,
-            num_threads=recipe.env.num_threads,
-            workers=recipe.env.workers,
-            horizon=recipe.env.horizon,
             success_steps=recipe.env.success_steps,
         )
     )
@@ -251,12 +247,8 @@ def make_evaluator(
         batch=recipe.evaluation.batch,
         noise_scale=recipe.evaluation.noise_scale,
         exploration=recipe.evaluation.exploration,
-        horizon=recipe.env.horizon,
-        num_threads=recipe.env.num_threads,
-        workers=recipe.env.workers,
-        device=recipe.device,
+        env_options=recipe.env_options(contacts=contacts),
         keep_env=keep_env,
-        contacts=contacts,
     )
 
 

@@ -58,9 +58,7 @@ def demonstration_distribution(
             task=task,
             episodes=growth.bc_model_episodes,
             seed=recipe.seed,
-            horizon=recipe.env.horizon,
-            num_threads=recipe.env.num_threads,
-            device=recipe.device,
+            env_options=recipe.env_options(),
         )
     return grown, DemonstrationDistribution(core, grown, growth.share)
 

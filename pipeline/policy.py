@@ -14,7 +14,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor
 
-from envs import EnvOptions, Task
+from envs import Task
 from pipeline import components
 from pipeline.act.shaped import shaped
 from pipeline.compute import hidden_dtype
@@ -60,7 +60,7 @@ def load_policy(
         FileNotFoundError: If there are neither.
         ValueError: If they are damaged or belong to another architecture.
     """
-    env = task.make_env(EnvOptions(horizon=recipe.env.horizon, device=recipe.device))
+    env = task.make_env(recipe.env_options(workers=0))
     policy = _untrained(recipe, env)
     env.close(raise_if_closed=False)  # some start their copies with the first reset
     weights = run_dir / WEIGHTS

@@ -13,14 +13,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Any, Literal, Self
 
 from pydantic.dataclasses import dataclass as settings
 from pydantic.dataclasses import is_pydantic_dataclass
 
 from envs import Task, find_task
-from envs.options import TaskOptions
+from envs.options import EnvOptions, TaskOptions
 from envs.rewards import rewarded
 from pipeline.act.evaluation import EvaluationSettings
 from pipeline.act.randomise import RandomiseSettings
@@ -138,6 +138,20 @@ class Recipe:
             ValueError: If an option, or the reward, does not suit it.
         """
         return rewarded(self.task.find(), self.env.reward)
+
+    def env_options(self, **given: Any) -> EnvOptions:
+        """How this run makes environments, whatever for; ``given`` says what this one is for.
+
+        What belongs to training alone (`env.num_envs`, `env.success_steps`) is not in it.
+        """
+        env = self.env
+        options = EnvOptions(
+            device=self.device,
+            num_threads=env.num_threads,
+            workers=env.workers,
+            horizon=env.horizon,
+        )
+        return replace(options, **given)
 
     @classmethod
     def of(cls, values: Mapping[str, Any], where: str) -> Self:

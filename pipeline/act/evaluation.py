@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self, get_args
 
 import torch
@@ -61,12 +61,8 @@ class Evaluator:
         exploration: ``mean`` takes the policy's tanh(loc), ``sample`` draws; the policy must be one
             of ``pipeline.learn.networks.make_actor``.
         noise_scale: Of a draw: factor on the standard deviation before the tanh.
-        horizon: Control steps; None is the task's own.
-        num_threads: Physics threads.
-        workers: Processes for copies of a Python environment; None lets the task decide.
-        device: Of the environment's tensors.
+        env_options: How the copies are made; their number and seed are set here.
         keep_env: Whether the copies are kept from one run to the next, until ``close``.
-        contacts: Whether the environment records contacts (`Task.contacts`), for a recorder.
         between_steps: Called before each step; what it raises ends the evaluation.
 
     Raises:
@@ -79,12 +75,8 @@ class Evaluator:
     batch: int = 250
     exploration: Exploration = "mean"
     noise_scale: float = 1.0
-    horizon: int | None = None
-    num_threads: int | None = None
-    workers: int | None = None
-    device: str = "cpu"
+    env_options: EnvOptions = field(default_factory=EnvOptions)
     keep_env: bool = False
-    contacts: bool = False
     between_steps: Callable[[], None] | None = None
     _kept: list[EnvBase] = field(default_factory=list, init=False, repr=False, compare=False)
 
@@ -137,15 +129,8 @@ class Evaluator:
 
     def _env(self) -> EnvBase:
         if not self._kept:
-            options = EnvOptions(
-                num_envs=self.task.copies(min(self.batch, self.episodes)),
-                seed=self.seed,
-                device=self.device,
-                num_threads=self.num_threads,
-                workers=self.workers,
-                horizon=self.horizon,
-                contacts=self.contacts,
-            )
+            copies = self.task.copies(min(self.batch, self.episodes))
+            options = replace(self.env_options, num_envs=copies, seed=self.seed)
             self._kept.append(self.task.make_env(options))
         # A task without a list of starts draws the same episodes every time.
         self._kept[0].set_seed(self.seed)
@@ -172,7 +157,7 @@ class Evaluator:
         policy.eval()
         try:
             with (
-                kept_random_state(self.device),
+                kept_random_state(self.env_options.device),
                 torch.no_grad(),
                 one_torch_thread(),
                 set_exploration_type(ExplorationType.DETERMINISTIC),

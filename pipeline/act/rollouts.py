@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -23,18 +25,22 @@ def rollout_episodes(
     task: Task,
     episodes: int,
     seed: int,
-    horizon: int | None = None,
-    num_threads: int | None = None,
-    device: str = "cpu",
+    env_options: EnvOptions | None = None,
 ) -> list[FinishedEpisode]:
     """Runs the policy's mean action for ``episodes`` whole episodes, one per environment copy.
 
     The episodes are those of the task's list with this ``seed``, where it has one; the trajectories
     carry their starts.
+
+    Args:
+        policy: Maps ``observation [N, O]`` to ``action [N, A]`` of N copies.
+        task: Whose episodes.
+        episodes: How many.
+        seed: Of the list.
+        env_options: How the copies are made; their number and seed are set here.
     """
-    batch = task.copies(min(episodes, MAX_BATCH))
-    options = EnvOptions(
-        num_envs=batch, seed=seed, device=device, num_threads=num_threads, horizon=horizon
+    options = replace(
+        env_options or EnvOptions(), num_envs=task.copies(min(episodes, MAX_BATCH)), seed=seed
     )
     finished: list[FinishedEpisode] = []
     with (

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 
-from envs import EnvOptions, Task
+from envs import Task
 from envs.library.functions import load_function
 from envs.task import SUCCESS, has_column
 from envs.user_files import split_file, told_at
@@ -93,7 +93,7 @@ class Acting:
             recipe = overridden(recipe, override.lstrip("+"))
         load_function(POLICY, where)  # before the task, which may take seconds to make
         task = recipe.find_task()
-        env = task.make_env(EnvOptions(horizon=recipe.env.horizon, device=recipe.device))
+        env = task.make_env(recipe.env_options(workers=0))
         actions, tells = env.action_spec.shape[-1], has_column(env, SUCCESS)
         env.close(raise_if_closed=False)
         file = Path(where.rpartition(":")[0]).name

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import count
 from pathlib import Path
 
-from envs import EnvOptions
 from envs.pictures import HUMAN, SCREENS, Render, RenderingUnavailableError, without_screen
 from pipeline import components
 from pipeline.act.evaluation import reset_td
@@ -57,9 +56,7 @@ def play(
         run.task.require("starts", choice.needs_list)
     numbers: Iterable[int] = count() if choice is None else choice.numbers(run_dir, run.recipe)
     recipe, task = run.recipe, run.task
-    env = task.make_env(
-        EnvOptions(horizon=recipe.env.horizon, device=recipe.device, render_mode=HUMAN)
-    )
+    env = task.make_env(recipe.env_options(workers=0, render_mode=HUMAN))
     shown = 0
     try:
         with render.window(env) as window:

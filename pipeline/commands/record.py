@@ -50,9 +50,7 @@ def record_demonstrations(
             task=task,
             episodes=wave,
             seed=seed + tried,
-            horizon=recipe.env.horizon,
-            num_threads=recipe.env.num_threads,
-            device=recipe.device,
+            env_options=recipe.env_options(),
         )
         good += [episode for episode in rollouts if acting.admits(episode)]
         tried += wave

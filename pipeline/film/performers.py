@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
-from envs import EnvOptions, Task
+from envs import Task
 from envs.demonstrations import DemoOptions, Episode, load_demonstrations
 from envs.pictures import RGB, Picture, Render
 from pipeline import components
@@ -208,7 +208,8 @@ def studio(run: Run, horizon: int | None, picture: Picture, every: int) -> Itera
         RenderingUnavailableError: If there is nothing to render with.
     """
     render: Render = run.task.require("render", "make video")
-    env = run.task.make_env(EnvOptions(horizon=horizon, device=run.recipe.device, render_mode=RGB))
+    options = run.recipe.env_options(horizon=horizon, workers=0, render_mode=RGB)
+    env = run.task.make_env(options)
     try:
         with render.open(env, picture) as renderer:
             yield Studio(run.task, env, renderer, every)

@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
-from envs import registry
+from envs import EnvOptions, registry
 from envs.demonstrations import DemoSchema, Kind, Notes, open_source, readers
 from envs.door import definition
 from envs.door.definition import TASK
@@ -126,7 +126,7 @@ def test_the_task_of_the_contributing_guide_is_found_by_its_entry_point_and_eval
     after = TensorDict({"observation": torch.tensor([[0.96, 0.28, 0.0], [0.94, 0.34, 0.0]])}, [2])
     assert stage.reached(after).tolist() == [True, False]
     still = TensorDictModule(lambda seen: torch.zeros(len(seen), 1), ["observation"], ["action"])
-    figures = Evaluator(task, episodes=3, seed=0, horizon=5).run(still)
+    figures = Evaluator(task, episodes=3, seed=0, env_options=EnvOptions(horizon=5)).run(still)
     assert list(figures.stages) == ["upright"]
     assert figures.lengths.tolist() == [5, 5, 5]
 

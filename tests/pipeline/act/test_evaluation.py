@@ -43,7 +43,8 @@ def policy() -> nn.Module:
 
 
 def evaluator(**changes) -> Evaluator:
-    options = {"episodes": 5, "seed": 11, "batch": 5, "horizon": 12, "num_threads": 1} | changes
+    env_options = EnvOptions(horizon=changes.pop("horizon", 12), num_threads=1)
+    options = {"episodes": 5, "seed": 11, "batch": 5, "env_options": env_options} | changes
     return Evaluator(TASK, **options)
 
 
@@ -216,7 +217,7 @@ def test_the_columns_of_the_tables_are_plain_numbers(together: Rollouts):
 
 def test_other_tasks_report_returns(policy: nn.Module):
     task = find_task("gymnasium:Pendulum-v1")
-    pendulum = Evaluator(task, episodes=3, seed=1, batch=2, horizon=5)
+    pendulum = Evaluator(task, episodes=3, seed=1, batch=2, env_options=EnvOptions(horizon=5))
     runs = [pendulum.run(make_policy_for_pendulum()) for _ in range(2)]
     np.testing.assert_array_equal(runs[0].returns, runs[1].returns)
     scalars = pendulum.metrics(runs[0])
