@@ -141,7 +141,7 @@ plot: $(STAMP) ## diagnostics of RUN=dir over frames [OUT=file]
 	@$(RUN_PYTHON) -m pipeline.cli plot $(call quoted,RUN) $(OUT_ARGS)
 
 .PHONY: demos-check
-demos-check: $(STAMP) ## validate and replay demonstrations [DEMOS=bundled|path|minari:ID] [TASK=...]
+demos-check: $(STAMP) ## validate and replay demonstrations [DEMOS=bundled|path|minari:ID] [TASK=...] [ARGS="task.success=... env.horizon=N"]
 	@$(RUN_PYTHON) -m pipeline.cli demos-check $(if $(value DEMOS),$(call quoted,DEMOS)) $(TASK_ARGS) $(ARGS)
 
 .PHONY: record

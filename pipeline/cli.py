@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import textwrap
 from collections.abc import Mapping
@@ -11,7 +12,6 @@ from typing import Annotated, Any
 import typer
 from tabulate import tabulate
 
-from envs import find_task
 from envs.demonstrations import DemonstrationError
 from envs.pictures import Picture, RenderingUnavailableError
 from envs.registry import FORMS
@@ -33,6 +33,7 @@ from pipeline.report.sources import read_runs
 from pipeline.results.evaluation_files import load_evaluation
 from pipeline.results.robustness import FIGURE, ROBUSTNESS
 from pipeline.results.run_tables import reference_of, render
+from pipeline.run_dir import recipe_of
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
 USER_ERRORS = (
@@ -44,6 +45,7 @@ USER_ERRORS = (
 )
 VIDEO_MODULES = ("imageio", "imageio_ffmpeg", "PIL")
 RESULTS_MODULES = ("matplotlib", "pandas", "pyarrow", "rliable")
+OVERRIDE = re.compile(r"\+{0,2}[a-z_]+(\.\w+)*=")
 CELLS = Path("tasks/cells.parquet")
 RunDir = Annotated[Path, typer.Argument(help="A run directory.")]
 Overrides = Annotated[list[str] | None, typer.Argument(help="key=value on top of its config.")]
@@ -193,14 +195,22 @@ def report(
 
 @app.command("demos-check")
 def demos_check(
-    source: Annotated[str, typer.Argument(help="bundled | path | minari:ID")] = "bundled",
-    task: Annotated[str, typer.Option(help=f"What they are of: {FORMS}.")] = "door",
-    resimulate: Annotated[
-        bool | None, typer.Option(help="Replay in the task; default: where it can.")
-    ] = None,
+    source: Annotated[str, typer.Argument(help="bundled | path | minari:ID")] = "",
+    overrides: Overrides = None,
+    task: Annotated[str | None, typer.Option(help=f"What they are of: {FORMS}.")] = None,
+    resimulate: Annotated[bool | None, typer.Option(help="As demos.resimulate=.")] = None,
 ) -> None:
     """Validate a demonstration source: episodes, starts, findings. Fails where training would."""
-    check = check_demonstrations(source, find_task(task), resimulate)
+    source, changes = _named_first(source, overrides)
+    recipe = recipe_of([*task_override(task), *changes])
+    demos = recipe.demos
+    check = check_demonstrations(
+        source or demos.source,
+        recipe.find_task(),
+        resimulate=demos.resimulate if resimulate is None else resimulate,
+        skip_refused=demos.skip_refused,
+        env_options=recipe.env_options(),
+    )
     typer.echo(check.text)
     if check.refusal is not None:
         raise typer.Exit(1)
@@ -222,6 +232,7 @@ def record(
     seed: Annotated[int, typer.Option(help="Of the list of episodes.", min=0, max=2**32 - 1)] = 0,
 ) -> None:
     """Record a demonstration set, filtered by success, from RUN's policy or a controller."""
+    run, changed = _named_first(run, overrides)
     if bool(run) == (policy is not None):
         given = f"RUN={run} and POLICY={policy}" if run else "neither"
         raise ValueError(
@@ -231,7 +242,7 @@ def record(
     path = out if out is not None else str(Path(run) / "demonstrations.h5")
     if out is None and Path(path).exists():
         raise ValueError(f"{path} exists: say OUT={path} to replace it, or name another")
-    changes = [*task_override(task), *(overrides or [])]
+    changes = [*task_override(task), *changed]
     acting = (
         Acting.of_run(Path(run), changes)
         if policy is None
@@ -308,6 +319,13 @@ def play(
     choice = Choice.parse(episodes, starts, worst) if given else None
     shown = play_episodes(run, choice, [*task_override(task), *(overrides or [])])
     typer.echo(f"{shown} episodes")
+
+
+def _named_first(first: str, overrides: list[str] | None) -> tuple[str, list[str]]:
+    """What the first argument names, which may be left out, and the overrides."""
+    if OVERRIDE.match(first) and not Path(first).exists():
+        return "", [first, *(overrides or [])]
+    return first, overrides or []
 
 
 def _scalars(result: Mapping[str, Any]) -> dict[str, Any]:

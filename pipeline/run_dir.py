@@ -237,6 +237,18 @@ _TypedValues.add_constructor("tag:yaml.org,2002:int", lambda _, node: int(node.v
 _TypedValues.add_constructor("tag:yaml.org,2002:float", lambda _, node: float(node.value))
 
 
+def recipe_of(overrides: Sequence[str]) -> Recipe:
+    """The recipe that nothing but ``key=value`` describes, of commands that train nothing.
+
+    Raises:
+        SettingsError: If one is not possible.
+    """
+    recipe = Recipe()
+    for override in overrides:
+        recipe = overridden(recipe, override.lstrip("+"))
+    return recipe
+
+
 def overridden(recipe: Recipe, override: str) -> Recipe:
     """The recipe with one ``key=value`` on top.
 

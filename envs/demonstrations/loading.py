@@ -131,7 +131,7 @@ def load_demonstrations(
         if not math.isnan(report.reward_agreement):
             others = round((1.0 - report.reward_agreement) * report.recorded_length)
             notes.add(Kind.OTHER_REWARDS, others, f"{report.source}, episode {report.episode}")
-    if options.multiply is not None:
+    if options.multiply is not None and used:
         vary = task.require("vary", "demos.multiply.enabled=true")
         multiply = options.multiply
         # Else returns of whole episodes decide, or their last steps.

@@ -22,7 +22,7 @@ from pipeline.data.episodes import FinishedEpisode
 from pipeline.growth import admission_rule
 from pipeline.policy import load_policy
 from pipeline.recipe import Recipe
-from pipeline.run_dir import load_recipe, overridden
+from pipeline.run_dir import load_recipe, recipe_of
 
 POLICY: Final = "POLICY"
 ROUNDING: Final = 1e-6
@@ -88,9 +88,7 @@ class Acting:
             SettingsError: If an override is not possible.
             ValueError: If there is no such function or task.
         """
-        recipe = Recipe()
-        for override in overrides:
-            recipe = overridden(recipe, override.lstrip("+"))
+        recipe = recipe_of(overrides)
         load_function(POLICY, where)  # before the task, which may take seconds to make
         task = recipe.find_task()
         env = task.make_env(recipe.env_options(workers=0))

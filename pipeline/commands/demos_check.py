@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -24,7 +24,7 @@ from pipeline.act.evaluation import reset_td
 
 EVALUATION_STARTS: Final = 1000
 FIRST_OBSERVATIONS: Final = 64
-"""Environments that are reset to see where episodes begin, for tasks that do not number theirs."""
+"""Episodes that are begun to see where they do, for tasks whose starts are no numbers."""
 SHOWN_ENTRIES: Final = 10
 SATURATED: Final = 0.2
 """Share of entries at their bounds beyond which the imitation error deserves a thought."""
@@ -45,15 +45,23 @@ class Check:
     refusal: str | None
 
 
-def check_demonstrations(source: str, task: Task, resimulate: bool | None = None) -> Check:
+def check_demonstrations(
+    source: str,
+    task: Task,
+    *,
+    resimulate: bool | None = None,
+    skip_refused: bool = False,
+    env_options: EnvOptions | None = None,
+) -> Check:
     """Read, check and describe demonstrations; single episodes that do not pass are listed.
-
-    Training stops at the first of those: it leaves no episode out.
 
     Args:
         source: see `envs.demonstrations.open_source`.
         task: what they are of.
         resimulate: replay them in the task; None does where the task can.
+        skip_refused: whether training leaves out episodes that do not pass; else it stops at the
+            first of them.
+        env_options: how a run makes the task's environment.
 
     Raises:
         DemonstrationError: the source as a whole cannot be read.
@@ -64,15 +72,22 @@ def check_demonstrations(source: str, task: Task, resimulate: bool | None = None
     parts = [format_reports(loaded.reports, task.progress_unit)] if loaded.episodes else []
     parts += [f"refused: {error}" for error in refused]
     if loaded.episodes:
-        parts.append(_format_coverage(_coverage(task, loaded.episodes)))
+        coverage = _coverage(task, loaded.episodes, env_options or EnvOptions())
+        parts.append(_format_coverage(coverage))
     parts.append(_summary(loaded, len(refused)))
-    refusal = _refusal(source, task, replayed, refused[0]) if refused else None
+    refusal = None
+    if refused and not (skip_refused and loaded.episodes):
+        refusal = _refusal(source, task, replayed, refused[0], some=bool(loaded.episodes))
     parts += [refusal] if refusal is not None else []
     return Check("\n\n".join(part for part in parts if part), len(loaded.episodes), refusal)
 
 
-def _refusal(source: str, task: Task, replayed: bool, first: DemonstrationError) -> str:
-    remedy = "no setting leaves single episodes out: repair them or take them out of the source"
+def _refusal(source: str, task: Task, replayed: bool, first: DemonstrationError, some: bool) -> str:
+    remedy = "no episode passes: repair the source"
+    if some:
+        remedy = (
+            'repair these episodes, or leave them out: make train ARGS="demos.skip_refused=true"'
+        )
     if replayed and _passes_as_recorded(source, task):
         remedy = 'without a replay it is accepted: make train ARGS="demos.resimulate=false"'
     return f"training refuses this source: {first}\n({remedy})"
@@ -100,7 +115,7 @@ def _summary(loaded: DemonstrationSet, refused: int) -> str:
     return "\n".join([*lines, *(["found on the way:", *found] if found else [])])
 
 
-def _coverage(task: Task, episodes: Sequence[Episode]) -> StartCoverage:
+def _coverage(task: Task, episodes: Sequence[Episode], env_options: EnvOptions) -> StartCoverage:
     starts: dict[str, NDArray[Any]] = {}
     if task.starts is not None:
         listed = task.starts(0, 0, EVALUATION_STARTS)
@@ -115,17 +130,22 @@ def _coverage(task: Task, episodes: Sequence[Episode]) -> StartCoverage:
         demos = {name: np.stack([e.start[name] for e in episodes]) for name in starts}
         return start_coverage(starts, demos)
     demos = {"observation": np.stack([episode.observations[0] for episode in episodes])}
-    return start_coverage({"observation": _first_observations(task)}, demos)
+    return start_coverage({"observation": _first_observations(task, env_options)}, demos)
 
 
-def _first_observations(task: Task) -> NDArray[Any]:
-    env = task.make_env(EnvOptions(num_envs=FIRST_OBSERVATIONS, seed=0, num_threads=1))
+def _first_observations(task: Task, env_options: EnvOptions) -> NDArray[Any]:
+    """[N, O] of as few copies as the task is made in, each reset again and again."""
+    copies = task.copies(FIRST_OBSERVATIONS)
+    env = task.make_env(replace(env_options, num_envs=copies, seed=0))
     try:
         with torch.no_grad():
-            first = env.reset(reset_td(task, env, 0, 0))["observation"]
+            first = [
+                env.reset(reset_td(task, env, 0, begun))["observation"]
+                for begun in range(0, FIRST_OBSERVATIONS, copies)
+            ]
     finally:
         env.close()
-    observations: NDArray[Any] = first.cpu().numpy()
+    observations: NDArray[Any] = torch.cat(first)[:FIRST_OBSERVATIONS].cpu().numpy()
     return observations
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from tensordict import TensorDictBase
 
 from envs.demonstrations import Episode, Provenance, find_writer, write_demonstrations
 from envs.task import PROGRESS, SUCCESS
-from pipeline.act.rollouts import MAX_BATCH, rollout_episodes
+from pipeline.act.rollouts import rollout_waves
 from pipeline.commands.acting import Acting
 from pipeline.data.episodes import FinishedEpisode
 from pipeline.files.run_files import versions
@@ -43,17 +44,19 @@ def record_demonstrations(
     task, recipe = acting.task, acting.recipe
     good: list[FinishedEpisode] = []
     tried = 0
-    while len(good) < episodes and tried < attempts:
-        wave = task.copies(min(MAX_BATCH, attempts - tried))
-        rollouts = rollout_episodes(
-            acting.policy(),
-            task=task,
-            episodes=wave,
-            seed=seed + tried,
-            env_options=recipe.env_options(),
-        )
-        good += [episode for episode in rollouts if acting.admits(episode)]
-        tried += wave
+    waves = rollout_waves(
+        acting.policy,
+        task=task,
+        episodes=attempts,
+        seed=seed,
+        env_options=recipe.env_options(),
+    )
+    with closing(waves):
+        for wave in waves:
+            good += [episode for episode in wave if acting.admits(episode)]
+            tried += len(wave)
+            if len(good) >= episodes:
+                break
     if len(good) < episodes:
         raise ValueError(
             f"{acting.name}: only {len(good)} of {tried} episodes passed {acting.admission}, "

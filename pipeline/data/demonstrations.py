@@ -14,6 +14,7 @@ from tensordict import TensorDictBase
 
 from envs import Task
 from envs.demonstrations import (
+    DemonstrationError,
     DemonstrationSet,
     DemoOptions,
     MultiplyConfig,
@@ -89,6 +90,8 @@ class DemosSettings:
     # Replay in the task from its own starts: states a policy will see. None = where the task can.
     resimulate: bool | None = None
     limit: Count | None = None  # use only the first N demonstrations
+    # Train on the others where episodes of the source do not pass; else the first of them ends it.
+    skip_refused: bool = False
     held_out: NotNegative = 0  # episodes, after multiplication, that only diagnostics see
     multiply: MultiplySettings = field(default_factory=MultiplySettings)
     # The action in the critics' rows of multiplied demonstrations: the executed one (with noise,
@@ -185,10 +188,19 @@ def make_demonstrations(
             "task %s cannot replay recorded episodes: the demonstrations are used as they were "
             "recorded", task.name,
         )  # fmt: skip
+    refused: list[DemonstrationError] | None = [] if demos.skip_refused else None
     with counted_steps() as steps:
         loaded: DemonstrationSet = load_demonstrations(
-            demos.source, task, demos.options(task), num_threads=num_threads, cache_dir=cache_dir
-        )
+            demos.source, task, demos.options(task), num_threads=num_threads, cache_dir=cache_dir,
+            refused=refused,
+        )  # fmt: skip
+    if refused:
+        if not loaded.episodes:
+            raise refused[0]
+        _logger.warning(
+            "demos.skip_refused: %d of %d episodes of %s are left out, the first because %s",
+            len(refused), len(loaded.reports) + len(refused), loaded.source, refused[0],
+        )  # fmt: skip
     if (remark := loaded.findings.found.get(Kind.IN_UNIT_BOX)) is not None:
         _logger.warning("demos.source: %s", remark.first)
     count = len(loaded.episodes) - demos.held_out

@@ -385,7 +385,7 @@ def test_recording_to_minari_without_it_says_so_before_episodes_are_played(
     command: Command, trained: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setitem(sys.modules, "minari", None)
-    monkeypatch.setattr(record, "rollout_episodes", None)
+    monkeypatch.setattr(record, "rollout_waves", None)
     code, _, error = command("record", trained, "--out", "minari:door/mine-v0")
     assert code == 1
     assert "needs the package minari" in error

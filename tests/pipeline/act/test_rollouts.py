@@ -6,15 +6,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
+from tensordict.nn import TensorDictModule
+from torchrl.envs import EnvBase
 
 from configs import compose
 from envs import EnvOptions
-from pipeline.act.rollouts import MAX_BATCH, rollout_episodes
+from pipeline.act.rollouts import MAX_BATCH, rollout_episodes, rollout_waves
 from pipeline.commands.acting import Acting
 from pipeline.commands.record import record_demonstrations
 from tests.toys import reach
 
 TOY = f"task.name='{Path(reach.__file__)}'"
+
+
+still = TensorDictModule(lambda seen: torch.zeros(*seen.shape[:-1], 2), ["observation"], ["action"])
 
 
 class Made(Exception):  # noqa: N818 - ends the making
@@ -49,3 +55,29 @@ def test_the_options_of_a_run_leave_out_what_is_for_training_alone():
         num_envs=1, seed=5, workers=2, horizon=recipe.env.horizon, device=recipe.device,
         num_threads=recipe.env.num_threads,
     )  # fmt: skip
+
+
+def test_copies_are_made_once_and_closed_whenever_it_ends():
+    made: list[EnvBase] = []
+    closed: list[EnvBase] = []
+
+    def make(options: EnvOptions) -> EnvBase:
+        env = reach.TASK.make_env(options)
+        made.append(env)
+        env.close = lambda: closed.append(env)
+        return env
+
+    task = replace(reach.TASK, make_env=make, max_copies=3)
+    # By its numbers: what a list holds does not depend on how many are played at once.
+    whole = rollout_episodes(still, task=replace(task, max_copies=None), episodes=8, seed=2)
+    waves = rollout_waves(lambda: still, task=task, episodes=8, seed=2)
+    assert [len(wave) for wave in waves] == [3, 3, 2]
+    waved = rollout_episodes(still, task=task, episodes=8, seed=2)
+    for one, other in zip(whole, waved, strict=True):
+        assert torch.equal(one.trajectory["observation"], other.trajectory["observation"])
+    assert len(made) == 3
+    stopped = rollout_waves(lambda: still, task=task, episodes=8, seed=2)
+    next(stopped)
+    assert len(closed) == 3
+    stopped.close()
+    assert closed == made

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs import EnvBase
 from typer.testing import CliRunner
 
 from envs import EnvOptions, Task, find_task
@@ -25,7 +26,9 @@ from envs.demonstrations.loading import DemoOptions
 from pipeline import cli
 from pipeline.commands import demos_check
 from pipeline.commands.demos_check import check_demonstrations
+from pipeline.recipe import Recipe
 from tests.demonstrations.files_of_others import toy_episode, write_flat, write_npz
+from tests.toys import reach
 
 
 def no_env(_: object):
@@ -94,7 +97,7 @@ def test_saturated_actions_are_told(tmp_path: Path):
     path = write_npz(tmp_path / "n.npz", [toy_episode(0, actions=actions)])
     task = dataclasses.replace(TASK, starts=None)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(demos_check, "_first_observations", lambda _: np.zeros((4, 3)))
+        patch.setattr(demos_check, "_first_observations", lambda *_: np.zeros((4, 3)))
         check = check_demonstrations(str(path), task)
     assert "actions at their bounds: 100.0% of the entries; a squared imitation error" in check.text
 
@@ -149,7 +152,7 @@ def test_the_command_fails_where_nothing_is_usable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bad: int | None, usable: int, code: int
 ):
     path = seated(tmp_path / "n.npz", [0.2], bad=bad)
-    monkeypatch.setattr(cli, "find_task", {"toy": TASK}.__getitem__)
+    monkeypatch.setattr(Recipe, "find_task", lambda _: TASK)
     result = CliRunner().invoke(cli.app, ["demos-check", str(path), "--task", "toy"])
     assert result.exit_code == code
     assert f"n.npz: {usable} usable of 1 episodes" in result.output
@@ -161,11 +164,11 @@ def test_the_command_fails_where_training_refuses_one_of_several_episodes(
     path = seated(tmp_path / "n.npz", [0.2, 0.8, 0.5], bad=1)
     with pytest.raises(DemonstrationError) as training:
         load_demonstrations(str(path), TASK, DemoOptions(resimulate=False))
-    monkeypatch.setattr(cli, "find_task", {"toy": TASK}.__getitem__)
+    monkeypatch.setattr(Recipe, "find_task", lambda _: TASK)
     result = CliRunner().invoke(cli.app, ["demos-check", str(path), "--task", "toy"])
     assert result.exit_code == 1
     assert f"training refuses this source: {training.value}" in result.output
-    assert "no setting leaves single episodes out" in result.output
+    assert 'leave them out: make train ARGS="demos.skip_refused=true"' in result.output
 
 
 def test_what_passes_as_it_was_recorded_names_the_setting(tmp_path: Path):
@@ -211,3 +214,46 @@ def test_a_recording_of_this_project_needs_no_remark_on_its_units(tmp_path: Path
     write_demonstrations(tmp_path / "n.h5", [toy_episode(0, start=start)], {}, schema=schema)
     check = check_demonstrations(str(tmp_path / "n.h5"), dataclasses.replace(TASK, demos=schema))
     assert "all actions lie within" not in check.text
+
+
+def test_few_copies_show_where_episodes_begin():
+    """Those of Python environments are dear."""
+    made: list[int] = []
+
+    def make(options: EnvOptions) -> EnvBase:
+        made.append(options.num_envs)
+        assert options.horizon == 9
+        return reach.TASK.make_env(options)
+
+    task = dataclasses.replace(TASK, starts=None, make_env=make, max_copies=5)
+    env_options = EnvOptions(horizon=9)
+    found = demos_check._first_observations(task, env_options)
+    assert made == [5]
+    assert found.shape == (demos_check.FIRST_OBSERVATIONS, 4)
+    assert len(np.unique(found, axis=0)) == len(found)
+
+
+def test_episodes_that_do_not_pass_can_be_left_out(tmp_path: Path):
+    path = seated(tmp_path / "n.npz", [0.2, 0.8], bad=1)
+    assert check_demonstrations(str(path), TASK).refusal is not None
+    check = check_demonstrations(str(path), TASK, skip_refused=True)
+    assert (check.usable, check.refusal) == (1, None)
+    bad = seated(tmp_path / "b.npz", [0.2], bad=0)
+    refusal = check_demonstrations(str(bad), TASK, skip_refused=True).refusal
+    assert refusal is not None
+    assert "no episode passes" in refusal
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_settings_are_taken_with_or_without_a_source(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, named: bool
+):
+    path = seated(tmp_path / "n.npz", [0.2, 0.8], bad=1)
+    asked: list[Recipe] = []
+    monkeypatch.setattr(Recipe, "find_task", lambda recipe: asked.append(recipe) or TASK)
+    source = [str(path)] if named else [f"demos.source={path}"]
+    typed = ["demos-check", *source, "demos.skip_refused=true", "task.success=reward>=1"]
+    result = CliRunner().invoke(cli.app, [*typed, "env.horizon=9"])
+    assert result.exit_code == 0
+    assert "n.npz: 1 usable of 2 episodes" in result.output
+    assert (asked[0].task.success, asked[0].env.horizon) == ("reward>=1", 9)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from envs import Task
-from pipeline.data.demonstrations import DemosSettings, make_demonstrations
+from envs.demonstrations import DemonstrationError
+from pipeline.data.demonstrations import Demonstrations, DemosSettings, make_demonstrations
 from pipeline.data.rows import TransitionRows
 from tests.demonstrations.files_of_others import SCHEMA, toy_episode, write_npz
 
@@ -38,3 +39,28 @@ def test_training_warns_of_actions_that_look_normalised_and_uses_them(
     (said,) = [record.getMessage() for record in caplog.records]
     assert "n.npz: all actions lie within [-1, 1], and the task's within [-5, 5]" in said
     assert "\n" not in said
+
+
+def test_episodes_that_do_not_pass_are_left_out_and_counted_where_that_is_asked_for(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+):
+    task = Task(name="toy", make_env=no_env, demos=SCHEMA)
+    episodes = [toy_episode(i) for i in range(3)]
+    episodes[1].actions[0, 1] = 7.0
+
+    def loaded(**demos: object) -> Demonstrations:
+        settings = DemosSettings(source=str(tmp_path / "n.npz"), **demos)
+        rows = TransitionRows(gamma=0.99)
+        return make_demonstrations(settings, task, rows, cache_dir=tmp_path, num_threads=1)
+
+    write_npz(tmp_path / "n.npz", episodes)
+    with pytest.raises(DemonstrationError, match="is 7, its bounds are -1 and 1"):
+        loaded()
+    with caplog.at_level(logging.WARNING):
+        kept = loaded(skip_refused=True)
+    assert [episode.provenance.episode for episode in kept.episodes] == [0, 2]
+    assert "1 of 3 episodes" in caplog.text
+    assert "is 7, its bounds are -1 and 1" in caplog.text
+    write_npz(tmp_path / "n.npz", episodes[1:2])
+    with pytest.raises(DemonstrationError, match="is 7"):
+        loaded(skip_refused=True)
