@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
 from dataclasses import fields
 from pathlib import Path
 
@@ -130,3 +132,20 @@ def test_every_figure_of_an_evaluation_is_explained():
         for name in (field.name for field in fields(metrics)):
             assert name.endswith("_ci95") or f"`{name}`" in text, name
     assert "`angle_mean_deg`" in of_the_door
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=named)
+def test_what_is_said_to_be_in_the_history_is_there(path: Path):
+    git = shutil.which("git")
+    named_objects = re.findall(r"git show (\S+?)[`\s]", path.read_text())
+    if named_objects and (git is None or not _whole_history(git)):
+        pytest.skip("a copy without the history")
+    for name in named_objects:
+        found = subprocess.run([git, "cat-file", "-e", name], cwd=ROOT, check=False)
+        assert found.returncode == 0, name
+
+
+def _whole_history(git: str) -> bool:
+    asked = [git, "rev-parse", "--is-shallow-repository"]
+    told = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=False)
+    return told.stdout.strip() == "false"
