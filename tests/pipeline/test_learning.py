@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.stats import permutation_test
 
 from configs import compose
 from pipeline.components import make_evaluator
 from tests.pipeline.toys import built
+from tests.toys import reach
 
 
 @pytest.mark.slow
@@ -41,7 +44,7 @@ def test_sac_learns_the_pendulum(tmp_path: Path):
         "evaluation.interval=0",
         "logging.checkpoint_interval=100000",
     )
-    evaluator = make_evaluator(config, episodes=30)
+    evaluator = make_evaluator(config, config.find_task(), episodes=30)
     run = built(config)
     before = evaluator.run(run.actor).returns
     run.train()
@@ -56,3 +59,66 @@ def test_sac_learns_the_pendulum(tmp_path: Path):
     )
     assert better.pvalue < 0.001
     assert np.mean(after) > -400  # a random policy has about -1200, a good one -150
+
+
+SEEDS: Final = (0, 1, 2)
+STARTS: Final = 50
+
+
+@pytest.mark.slow
+def test_bc_sac_beats_imitation_and_reinforcement_learning_alone(tmp_path: Path):
+    """With four demonstrations and 800 frames, at the same starts, by more than chance."""
+    reach.record(tmp_path / "demos.h5", 4)
+    returns = {variant: learnt(variant, tmp_path) for variant in ("bc", "sac", "bc_sac")}
+    for alone in ("bc", "sac"):
+        gained = returns["bc_sac"] - returns[alone]
+        luck = permutation_test(
+            (gained,),
+            lambda x, axis: np.mean(x, axis=axis),
+            permutation_type="samples",
+            alternative="greater",
+            vectorized=True,
+            n_resamples=9999,
+            rng=np.random.default_rng(0),
+        )
+        assert luck.pvalue < 0.001, (alone, {name: x.mean() for name, x in returns.items()})
+
+
+def learnt(variant: str, folder: Path) -> NDArray[np.float64]:
+    """Returns [seeds * starts] after training."""
+    found = []
+    for seed in SEEDS:
+        recipe = compose(
+            f"variant={variant}",
+            "preset=smoke",
+            f"run_dir='{folder / f'{variant}-{seed}'}'",
+            f"task.name='{reach.__file__}'",
+            f"demos.source='{folder / 'demos.h5'}'",
+            f"cache_dir='{folder / 'cache'}'",
+            f"seed={seed}",
+            "torch_threads=1",
+            "demos.held_out=0",
+            "env.num_envs=5",
+            "env.horizon=null",
+            "actor.hidden=[64,64]",
+            "critic.hidden=[64,64]",
+            "bc.updates=500",
+            "loss.n_step=1",
+            "optim.actor_lr=1e-3",
+            "optim.critic_lr=1e-3",
+            "optim.temperature_lr=1e-3",
+            "optim.updates_per_frame=1.0",
+            "optim.actor_delay=50",
+            "optim.actor_period=1",
+            "sampler.batch_size=64",
+            "collector.total_frames=800",
+            "collector.frames_per_batch=50",
+            "evaluation.interval=0",
+            "logging.checkpoint_interval=100000",
+        )
+        run = built(recipe)
+        run.train()
+        found.append(
+            make_evaluator(recipe, recipe.find_task(), episodes=STARTS).run(run.actor).returns
+        )
+    return np.concatenate(found)
