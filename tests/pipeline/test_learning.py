@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import permutation_test
 
 from configs import compose
+from pipeline.build import build_run
 from pipeline.components import make_evaluator
 from tests.pipeline.toys import built
 from tests.toys import reach
@@ -91,7 +92,6 @@ def learnt(variant: str, folder: Path) -> NDArray[np.float64]:
         recipe = compose(
             f"variant={variant}",
             "preset=smoke",
-            f"run_dir='{folder / f'{variant}-{seed}'}'",
             f"task.name='{reach.__file__}'",
             f"demos.source='{folder / 'demos.h5'}'",
             f"cache_dir='{folder / 'cache'}'",
@@ -116,7 +116,7 @@ def learnt(variant: str, folder: Path) -> NDArray[np.float64]:
             "evaluation.interval=0",
             "logging.checkpoint_interval=100000",
         )
-        run = built(recipe)
+        run = build_run(recipe, folder / f"{variant}-{seed}")
         run.train()
         found.append(
             make_evaluator(recipe, recipe.find_task(), episodes=STARTS).run(run.actor).returns
