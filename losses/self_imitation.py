@@ -97,12 +97,10 @@ class SelfImitation(ActorTerm):
             reward=end["reward"],
             # What a return does not go on from is as good as terminal.
             terminated=end["terminated"] if self.bootstrap else end["steps"] >= 0,
+            # This V has the entropy bonus already, where there is one.
             next_q=self._value(networks, last, end["observation"]).unsqueeze(-1),
-            next_log_prob=end["reward"].squeeze(-1),  # V has the entropy already
-            temperature=networks.alpha,
             gamma=self.gamma,
             steps=end["steps"],
-            entropy_in_target=False,
         )
         value = self._value(networks, policy, observation)
         return F.positive_advantage(returns.squeeze(-1), value, self.cap)

@@ -142,6 +142,15 @@ def test_the_target_can_value_the_policy_without_its_noise() -> None:
         assert torch.allclose(loss.critic_terms(batch).target, mean) == is_mean
 
 
+@pytest.mark.parametrize("action", ["sample", "mean"])
+def test_only_a_sampled_action_is_drawn(action: str) -> None:
+    loss = make_loss(target_action=action, entropy_in_target=False)
+    batch = make_batch(6, demo_rows=None)
+    before = torch.random.get_rng_state()
+    loss.critic_terms(batch)
+    assert torch.equal(torch.random.get_rng_state(), before) == (action == "mean")
+
+
 @pytest.mark.parametrize(("subset", "values"), [(None, {1.0}), (1, {1.0, 2.0, 6.0}), (3, {1.0})])
 def test_the_target_takes_the_minimum_over_a_random_subset(
     subset: int | None, values: set[float]
