@@ -87,19 +87,8 @@ class BCSACLoss(Objective):
     reaches the parameters of its own network only, so the backward passes may be taken together
     or one by one, in any order.
 
-    The batch is never written to. Keys are renamed with ``set_keys``:
-
-    ==================== ============= ===================================================
-    name                 shape         meaning
-    ==================== ============= ===================================================
-    observation          [B, O]        state; also read under ``next``
-    action               [B, A]        in [-1, 1]
-    (next, reward)       [B, 1]        reward, or discounted sum of n rewards
-    (next, terminated)   [B, 1] bool   the environment's end, not a time limit
-    is_demo              [B, 1] bool   optional: the row comes from D
-    imitated_action      [B, A]        optional: what to imitate, if not the executed action
-    steps_to_next_obs    [B, 1] int    optional: environment steps n to ``next``
-    ==================== ============= ===================================================
+    The batch is never written to. :class:`~losses.batch.BatchKeys` lists its entries, which
+    ``set_keys`` renames.
 
     Args:
         actor: policy over one observation key with a ``TanhNormal``-like distribution on (-1, 1).

@@ -7,6 +7,7 @@ from functools import partial
 from typing import ClassVar, Literal, get_args
 
 import torch
+from tensordict import NestedKey
 from torch import Tensor
 from torchrl.modules import TanhNormal
 
@@ -54,6 +55,14 @@ class SoftTD(CriticTerm):
     tau: float = 0.005
     name: str = "qvalue"
 
+    reads: ClassVar[tuple[NestedKey, ...]] = (
+        "observation",
+        "action",
+        ("next", "observation"),
+        ("next", "reward"),
+        ("next", "terminated"),
+        "steps_to_next_obs",
+    )
     reinforces: ClassVar[bool] = True
     logs: ClassVar[tuple[str, ...]] = ("q_data",)
     returns: ClassVar[tuple[str, ...]] = ("q_target",)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.modules import TanhNormal
 
@@ -60,6 +60,12 @@ class SelfImitation(ActorTerm):
     cap: float | None = None
     name: str = "self_imitation"
 
+    reads: ClassVar[tuple[NestedKey, ...]] = (
+        "observation",
+        "action",
+        "imitated_action",
+        "to_end",
+    )
     logs: ClassVar[tuple[str, ...]] = ("better_share",)
 
     def __post_init__(self) -> None:

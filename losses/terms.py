@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
+from tensordict import NestedKey
 from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
@@ -41,6 +42,8 @@ class Term(ABC):
     one's, which makes a number given as weight a constant schedule.
     """
 
+    reads: ClassVar[tuple[NestedKey, ...]] = ()
+    """The entries of the batch that it reads, named as in :class:`~losses.batch.BatchKeys`."""
     reinforces: ClassVar[bool] = False
     """Whether it is about the rows that reinforce, and so needs some and a temperature."""
     logs: ClassVar[tuple[str, ...]] = ()
@@ -111,6 +114,8 @@ class Term(ABC):
 class CriticTerm(Term):
     """A term that trains the critics, and nothing else."""
 
+    reads: ClassVar[tuple[NestedKey, ...]] = ("observation", "action")
+
     @abstractmethod
     def __call__(self, seen: CriticPass) -> TermValue:
         """Compute the loss on the rows that reinforce."""
@@ -118,6 +123,8 @@ class CriticTerm(Term):
 
 class ActorTerm(Term):
     """A term that trains the actor, and nothing else; all of them see one forward pass of it."""
+
+    reads: ClassVar[tuple[NestedKey, ...]] = ("observation",)
 
     @abstractmethod
     def __call__(self, seen: ActorPass) -> TermValue:
