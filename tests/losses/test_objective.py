@@ -155,7 +155,7 @@ def test_imitation_alone_needs_no_other_rows_and_draws_nothing() -> None:
     terms = loss.actor_terms(batch)
     assert torch.equal(torch.random.get_rng_state(), before)
     assert terms.log_prob is None
-    assert torch.equal(terms.bc, loss.bc_loss(batch))
+    assert torch.equal(terms.values["bc"].loss, loss.bc_loss(batch))
     assert loss.composition.metrics == ("bc_nll", "bc_weight")
 
 

@@ -96,6 +96,16 @@ def make_loss(**options: object) -> BCSACLoss:
     return BCSACLoss(make_actor(), [Critic(), Critic()], **options)  # type: ignore[arg-type]
 
 
+def q_of(loss: BCSACLoss, batch: TensorDict) -> Tensor:
+    """The critics' values ``[E, R, 1]`` of the batch's own actions."""
+    return loss.critic_terms(batch).values["qvalue"].measured["q_data"]
+
+
+def target_of(loss: BCSACLoss, batch: TensorDict) -> Tensor:
+    """What the critics are regressed on ``[R, 1]``."""
+    return loss.critic_terms(batch).values["qvalue"].measured["q_target"]
+
+
 def gradients(loss: Tensor, module: nn.Module) -> list[Tensor]:
     """Gradients of ``loss`` for the parameters of ``module``, zeros where there is none."""
     parameters = list(module.parameters())
