@@ -66,20 +66,6 @@ def test_the_margin_is_where_demonstrated_actions_end() -> None:
     assert found.loss.item() == pytest.approx(0.25)
 
 
-def test_what_is_imitated_is_the_demonstrated_action() -> None:
-    """Wherever a batch has it: the error and the filter ask for it by this one name."""
-    loss = BCSACLoss(make_actor(), SumOfActions())
-    seen = seen_of(loss, 4, 4)
-    batch = seen.demonstrations.batch
-    clean = torch.full_like(batch.action, 0.5)
-    batch.demonstrated_action = clean
-    term = Imitation("mse", row_weights=[QFilter()])
-    own = seen.policy.deterministic_sample
-    kept = clean.sum(-1) > own.sum(-1)
-    expected = ((own - 0.5).square().mean(-1) * kept).mean()
-    torch.testing.assert_close(term(seen).loss, expected)
-
-
 def test_without_marks_nothing_is_weighed() -> None:
     """The filter would run the critics for nothing."""
 
