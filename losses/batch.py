@@ -14,7 +14,25 @@ from losses.policy import Rows
 
 @dataclass
 class BatchKeys:
-    """Where a batch has what the terms read; renamed with ``LossModule.set_keys``."""
+    """Where a flat batch of B transitions has its entries; ``LossModule.set_keys`` renames them.
+
+    =================== =========== =============================== ================================
+    name                shape       meaning                         read by
+    =================== =========== =============================== ================================
+    observation         [B, O]      state                           all terms of critics and actor
+    action              [B, A]      the executed one, in [-1, 1]    SoftTD, Imitation, SelfImitation
+    (next, observation) [B, O]      state after n steps             SoftTD
+    (next, reward)      [B, 1]      discounted sum of n rewards     SoftTD
+    (next, terminated)  [B, 1] bool the environment's own end       SoftTD
+    steps_to_next_obs   [B, 1] int  optional: steps n, else 1       SoftTD
+    is_demo             [B, 1] bool optional: is a demonstration    Imitation, Objective
+    imitated_action     [B, A]      optional: if not ``action``     Imitation, SelfImitation
+    to_end              [B]         optional: ``Batch.to_end``      SelfImitation
+    =================== =========== =============================== ================================
+
+    A time limit is no end of the environment's own. :class:`~losses.Objective` reads ``is_demo``
+    to leave the demonstrations out of the terms that reinforce, unless ``rl_on_demos`` is set.
+    """
 
     observation: NestedKey = "observation"
     action: NestedKey = "action"
@@ -24,6 +42,21 @@ class BatchKeys:
     imitated_action: NestedKey = "imitated_action"
     steps_to_next_obs: NestedKey = "steps_to_next_obs"
     to_end: NestedKey = "to_end"
+
+
+OPTIONAL = ("steps_to_next_obs", "is_demo", "imitated_action", "to_end")
+"""The entries, by their names in :class:`BatchKeys`, that a batch may be without."""
+
+
+def location(name: NestedKey, keys: BatchKeys) -> NestedKey:
+    """Return where a batch has the entry ``name`` of the table in :class:`BatchKeys`.
+
+    A name that is not in the table stays as it is: an entry that a term of one's own reads.
+    """
+    if isinstance(name, tuple):
+        *parents, last = name
+        return (*parents, getattr(keys, last, last))
+    return getattr(keys, name, name)
 
 
 class Batch:

@@ -16,6 +16,7 @@ from losses.imitation import Emphasis, ErrorName, Imitation, QFilter, RowWeight
 from losses.objective import Objective
 from losses.passes import ActorPass
 from losses.proposal import Proposal
+from losses.rules import WeightRule
 from losses.schedules import Schedule
 from losses.settings import SettingError
 from losses.temperature import Temperature
@@ -87,19 +88,8 @@ class BCSACLoss(Objective):
     reaches the parameters of its own network only, so the backward passes may be taken together
     or one by one, in any order.
 
-    The batch is never written to. Keys are renamed with ``set_keys``:
-
-    ==================== ============= ===================================================
-    name                 shape         meaning
-    ==================== ============= ===================================================
-    observation          [B, O]        state; also read under ``next``
-    action               [B, A]        in [-1, 1]
-    (next, reward)       [B, 1]        reward, or discounted sum of n rewards
-    (next, terminated)   [B, 1] bool   the environment's end, not a time limit
-    is_demo              [B, 1] bool   optional: the row comes from D
-    imitated_action      [B, A]        optional: what to imitate, if not the executed action
-    steps_to_next_obs    [B, 1] int    optional: environment steps n to ``next``
-    ==================== ============= ===================================================
+    The batch is never written to. :class:`~losses.batch.BatchKeys` lists its entries, which
+    ``set_keys`` renames.
 
     Args:
         actor: policy over one observation key with a ``TanhNormal``-like distribution on (-1, 1).
@@ -112,6 +102,8 @@ class BCSACLoss(Objective):
             the actor's spec.
         learn_temperature: ``False`` keeps alpha where it starts.
         bc_weight: lambda, a number or a schedule of the number of updates.
+        bc_rule: sets the imitation term's weight by the sizes of the gradients
+            (:class:`~losses.GradientRatio`); ``None`` is the paper's, ``bc_weight`` alone.
         imitation: ``"nll"`` (section III-B), ``"mse"`` of the deterministic action, or
             ``"fixed_width"``, its regression in nats.
         action_margin: demonstrated actions are kept this far inside (-1, 1) before they are
@@ -159,6 +151,7 @@ class BCSACLoss(Objective):
         target_entropy: float | Literal["auto"] = "auto",
         learn_temperature: bool = True,
         bc_weight: Schedule | float = 1.0,
+        bc_rule: WeightRule | None = None,
         imitation: ErrorName = "nll",
         action_margin: float = 1e-2,
         target_subset: int | None = None,
@@ -198,6 +191,7 @@ class BCSACLoss(Objective):
                 weight=bc_weight,
                 margin=action_margin,
                 row_weights=_row_weights(bc_emphasis, q_filter, actor_value),
+                rule=bc_rule,
             ),
             *further,
         ]
@@ -212,8 +206,8 @@ class BCSACLoss(Objective):
             super().__setattr__(name, value)
 
     def qvalue_loss(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the loss ``[]`` of :meth:`critic_terms`."""
-        return self.critic_terms(tensordict).loss
+        """Return the soft TD error ``[]`` of :meth:`critic_terms`."""
+        return self.critic_terms(tensordict).values["qvalue"].loss
 
     def actor_loss(self, tensordict: TensorDictBase) -> Tensor:
         """Return the reinforcement half ``[]`` of :meth:`actor_terms`; no other row is run."""

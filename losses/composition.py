@@ -36,7 +36,7 @@ class Composition:
         _require_kinds(self.terms, [*self.of_critic, *self.of_actor, *temperatures])
         self._by_name = {term.name: term for term in self.terms}
         self.temperature = _only("a temperature", temperatures)
-        moving = _only("tau", [term for term in self.terms if term.tau is not None])
+        moving = _only("tau", [term for term in self.of_critic if term.tau is not None])
         self.tau = None if moving is None else moving.tau
         self.reference = next((term for term in self.of_actor if term.reinforces), None)
         """The actor's reinforcement term, which the others' gradients are compared with."""
@@ -109,9 +109,8 @@ class Composition:
                     f"the term {term.name!r} weighs entropy by a temperature, which the objective "
                     "does not have: add Temperature(), with learn=False for a fixed one"
                 )
-            if term.rule is not None and (
-                self.reference is None or term is self.reference or not isinstance(term, ActorTerm)
-            ):
+        for term in self.of_actor:
+            if term.rule is not None and (self.reference is None or term is self.reference):
                 raise ValueError(
                     f"the rule {term.rule} of the term {term.name!r} is relative to a "
                     "reinforcement term of the actor, which must be another one: add SoftValue(), "

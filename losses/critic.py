@@ -7,6 +7,7 @@ from functools import partial
 from typing import ClassVar, Literal, get_args
 
 import torch
+from tensordict import NestedKey
 from torch import Tensor
 from torchrl.modules import TanhNormal
 
@@ -54,6 +55,14 @@ class SoftTD(CriticTerm):
     tau: float = 0.005
     name: str = "qvalue"
 
+    reads: ClassVar[tuple[NestedKey, ...]] = (
+        "observation",
+        "action",
+        ("next", "observation"),
+        ("next", "reward"),
+        ("next", "terminated"),
+        "steps_to_next_obs",
+    )
     reinforces: ClassVar[bool] = True
     logs: ClassVar[tuple[str, ...]] = ("q_data",)
     returns: ClassVar[tuple[str, ...]] = ("q_target",)
@@ -96,9 +105,11 @@ class SoftTD(CriticTerm):
         batch = seen.batch
         next_observation = batch.next_observation
         policy: TanhNormal = policy_distribution(seen.networks.actor, next_observation)
-        next_action, next_log_prob = policy.rsample_and_log_prob()
+        next_log_prob: Tensor | None = None
         if self.target_action == "mean":
             next_action = policy.deterministic_sample
+        else:
+            next_action, next_log_prob = policy.rsample_and_log_prob()
         value = partial(self._value, seen)
         if self.proposal is None:
             next_q = value(next_observation, next_action)
@@ -108,11 +119,10 @@ class SoftTD(CriticTerm):
             reward=batch.reward,
             terminated=batch.terminated,
             next_q=next_q,
-            next_log_prob=next_log_prob,
-            temperature=seen.networks.alpha,
             gamma=self.gamma,
             steps=batch.steps,
-            entropy_in_target=self.entropy,
+            next_log_prob=next_log_prob if self.entropy else None,
+            temperature=seen.networks.alpha,
         )
 
     def _value(self, seen: CriticPass, observation: Tensor, action: Tensor) -> Tensor:

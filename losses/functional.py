@@ -26,12 +26,11 @@ def soft_td_target(
     reward: Tensor,
     terminated: Tensor,
     next_q: Tensor,
-    next_log_prob: Tensor,
-    temperature: Tensor,
     *,
     gamma: float,
     steps: Tensor | None = None,
-    entropy_in_target: bool = True,
+    next_log_prob: Tensor | None = None,
+    temperature: Tensor | None = None,
 ) -> Tensor:
     r"""The value a critic is regressed on (section III-A, the equation of Q-hat).
 
@@ -46,23 +45,28 @@ def soft_td_target(
         reward: ``[B, 1]``; for n-step transitions the discounted sum of the n rewards.
         terminated: ``[B, 1]`` bool, whether the environment's own end was reached.
         next_q: ``[B, 1]``, the target critics' value of the next state and the policy's action.
-        next_log_prob: ``[B]``, log-density in nats of that action.
-        temperature: ``[]``, the entropy weight alpha. The paper writes it as 1.
         gamma: discount per environment step, in [0, 1].
         steps: ``[B, 1]`` environment steps n between the two states; ``None`` means 1 for all.
-        entropy_in_target: ``False`` drops the entropy bonus from the backup, as RLPD does on the
-            Adroit tasks (arXiv:2302.02948).
+        next_log_prob: ``[B]``, log-density in nats of the policy's action in the next state;
+            ``None`` leaves the entropy bonus out, as RLPD does on the Adroit tasks
+            (arXiv:2302.02948).
+        temperature: ``[]``, the entropy weight alpha, required with ``next_log_prob``. The paper
+            writes it as 1.
 
     Returns:
         ``[B, 1]``.
 
     Raises:
-        ValueError: if a shape is not as stated.
+        ValueError: if a shape is not as stated, or ``next_log_prob`` comes without a temperature.
     """
     _require_columns(reward=reward, terminated=terminated, next_q=next_q)
-    _require_rows(len(reward), next_log_prob=next_log_prob)
     next_value = next_q
-    if entropy_in_target:
+    if next_log_prob is not None:
+        _require_rows(len(reward), next_log_prob=next_log_prob)
+        if temperature is None:
+            raise ValueError(
+                "the entropy bonus of next_log_prob needs its weight: give temperature"
+            )
         next_value = next_q - temperature * next_log_prob.unsqueeze(-1)
     # Filled rather than multiplied by zero: what follows a termination may be anything, NaN too.
     next_value = next_value.masked_fill(terminated, 0.0)

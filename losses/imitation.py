@@ -6,10 +6,10 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Literal, Protocol
+from typing import ClassVar, Literal, Protocol
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.modules import TanhNormal
 
@@ -107,6 +107,13 @@ class Imitation(ActorTerm):
     row_weights: Sequence[RowWeight] = ()
     rule: WeightRule | None = None
     name: str = "bc"
+
+    reads: ClassVar[tuple[NestedKey, ...]] = (
+        "observation",
+        "action",
+        "imitated_action",
+        "is_demo",
+    )
 
     def __post_init__(self) -> None:
         """Validate the settings; a list of row weights, as configurations give it, is a tuple."""

@@ -16,7 +16,7 @@ from torch.optim.swa_utils import get_ema_multi_avg_fn
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import LossModule
 
-from losses.batch import Batch, BatchKeys, reinforcement_rows
+from losses.batch import OPTIONAL, Batch, BatchKeys, location, reinforcement_rows
 from losses.composition import Composition
 from losses.ensemble import CriticEnsemble
 from losses.passes import ActorPass, CriticPass
@@ -45,18 +45,8 @@ class Objective(LossModule):
             Imitation("nll", weight=CosineWeight(1.0, 0.1, 20_000)),
         ])
 
-    The batch is never written to. Keys are renamed with ``set_keys``:
-
-    ==================== ============= ===================================================
-    name                 shape         meaning
-    ==================== ============= ===================================================
-    observation          [B, O]        state; also read under ``next``
-    action               [B, A]        in [-1, 1]
-    (next, reward)       [B, 1]        reward, or discounted sum of n rewards
-    (next, terminated)   [B, 1] bool   the environment's end, not a time limit
-    is_demo              [B, 1] bool   optional: the row comes from D
-    steps_to_next_obs    [B, 1] int    optional: environment steps n to ``next``
-    ==================== ============= ===================================================
+    The batch is never written to. :class:`~losses.batch.BatchKeys` lists its entries, which
+    ``set_keys`` renames.
 
     Args:
         actor: policy over one observation key with a ``TanhNormal``-like distribution on (-1, 1).
@@ -118,7 +108,7 @@ class Objective(LossModule):
         """Compute all terms of a flat batch at the present parameters.
 
         Args:
-            tensordict: ``[B]`` with the keys of the class table.
+            tensordict: ``[B]`` with :attr:`in_keys`.
 
         Returns:
             Scalars under :attr:`out_keys`. Their ``loss_*`` entries sum to what is minimised, each
@@ -146,7 +136,7 @@ class Objective(LossModule):
         """Compute the critics' terms on the rows that reinforce.
 
         Args:
-            tensordict: ``[B]`` with the keys of the class table.
+            tensordict: ``[B]`` with what these terms read.
         """
         seen = CriticPass(self, self._reinforcement_batch(tensordict))
         return CriticTerms({term.name: term(seen) for term in self.composition.of_critic})
@@ -155,7 +145,7 @@ class Objective(LossModule):
         """Compute the terms of the actor's objective with one forward pass of the actor.
 
         Args:
-            tensordict: ``[B]``; of the class table, only observation, action and is_demo are read.
+            tensordict: ``[B]`` with what these terms read.
         """
         batch = self.batch(tensordict)
         reinforces = self.composition.reference is not None
@@ -260,15 +250,13 @@ class Objective(LossModule):
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """The entries that a batch must have; is_demo and steps_to_next_obs are optional."""
-        keys = self.tensor_keys
-        return [
-            keys.observation,
-            keys.action,
-            ("next", keys.observation),
-            ("next", keys.reward),
-            ("next", keys.terminated),
-        ]
+        """The entries that a batch must have: what the terms read and cannot do without.
+
+        What a function given to a term reads (``bc_emphasis``, say) is not known here.
+        """
+        read = (name for term in self.composition.terms for name in term.reads)
+        needed = dict.fromkeys(name for name in read if name not in OPTIONAL)
+        return [location(name, self.tensor_keys) for name in needed]
 
     @property
     def functional(self) -> bool:

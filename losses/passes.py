@@ -81,7 +81,7 @@ class ActorPass:
 
     Args:
         networks: Of the objective.
-        batch: ``[B]``, of which no term of ours reads more than observation, action and marks.
+        batch: ``[B]`` transitions.
         rows: The R rows that reinforce, ``None`` for all of them.
     """
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.modules import TanhNormal
 
@@ -60,6 +60,12 @@ class SelfImitation(ActorTerm):
     cap: float | None = None
     name: str = "self_imitation"
 
+    reads: ClassVar[tuple[NestedKey, ...]] = (
+        "observation",
+        "action",
+        "imitated_action",
+        "to_end",
+    )
     logs: ClassVar[tuple[str, ...]] = ("better_share",)
 
     def __post_init__(self) -> None:
@@ -97,12 +103,10 @@ class SelfImitation(ActorTerm):
             reward=end["reward"],
             # What a return does not go on from is as good as terminal.
             terminated=end["terminated"] if self.bootstrap else end["steps"] >= 0,
+            # This V has the entropy bonus already, where there is one.
             next_q=self._value(networks, last, end["observation"]).unsqueeze(-1),
-            next_log_prob=end["reward"].squeeze(-1),  # V has the entropy already
-            temperature=networks.alpha,
             gamma=self.gamma,
             steps=end["steps"],
-            entropy_in_target=False,
         )
         value = self._value(networks, policy, observation)
         return F.positive_advantage(returns.squeeze(-1), value, self.cap)

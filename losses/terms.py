@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
+from tensordict import NestedKey
 from torch import Tensor
 from torchrl.modules import ProbabilisticActor
 
@@ -41,6 +42,8 @@ class Term(ABC):
     one's, which makes a number given as weight a constant schedule.
     """
 
+    reads: ClassVar[tuple[NestedKey, ...]] = ()
+    """The entries of the batch that it reads, named as in :class:`~losses.batch.BatchKeys`."""
     reinforces: ClassVar[bool] = False
     """Whether it is about the rows that reinforce, and so needs some and a temperature."""
     logs: ClassVar[tuple[str, ...]] = ()
@@ -54,10 +57,6 @@ class Term(ABC):
     """Of the term in its objective, which has each name once."""
     weight: Schedule | float | None = None
     """Of its loss in the sum; ``None`` is 1 at all times, with nothing to log."""
-    rule: WeightRule | None = None
-    """What makes of :attr:`weight` the weight that counts; for the actor's terms."""
-    tau: float | None = None
-    """What one update of the target critics moves into them; for at most one term."""
 
     def __post_init__(self) -> None:
         """Make a number given as weight a schedule."""
@@ -111,6 +110,14 @@ class Term(ABC):
 class CriticTerm(Term):
     """A term that trains the critics, and nothing else."""
 
+    reads: ClassVar[tuple[NestedKey, ...]] = ("observation", "action")
+
+    tau: float | None = None
+    """Share of the critics that one update of the target critics moves into them, in [0, 1].
+
+    At most one term of an objective has one; without, the target critics stay as they are.
+    """
+
     @abstractmethod
     def __call__(self, seen: CriticPass) -> TermValue:
         """Compute the loss on the rows that reinforce."""
@@ -118,6 +125,11 @@ class CriticTerm(Term):
 
 class ActorTerm(Term):
     """A term that trains the actor, and nothing else; all of them see one forward pass of it."""
+
+    reads: ClassVar[tuple[NestedKey, ...]] = ("observation",)
+
+    rule: WeightRule | None = None
+    """Sets the weight by the sizes of the gradients; ``None`` leaves it to :attr:`weight`."""
 
     @abstractmethod
     def __call__(self, seen: ActorPass) -> TermValue:
@@ -141,7 +153,7 @@ def total(values: Mapping[str, TermValue], weights: Mapping[str, Any]) -> Tensor
 
 @dataclass(frozen=True)
 class CriticTerms:
-    """The critics' terms and what the soft TD error was made of; R rows took part.
+    """The terms of the critics' objective on one batch.
 
     Attributes:
         values: the terms by name.
@@ -149,29 +161,14 @@ class CriticTerms:
 
     values: Mapping[str, TermValue]
 
-    @property
-    def loss(self) -> Tensor:
-        """``[]``, the soft TD error summed over critics, mean over the R rows."""
-        return self.values["qvalue"].loss
-
-    @property
-    def q(self) -> Tensor:
-        """``[E, R, 1]``, values of the batch's own actions, detached."""
-        return self.values["qvalue"].measured["q_data"]
-
-    @property
-    def target(self) -> Tensor:
-        """``[R, 1]``, the soft TD target."""
-        return self.values["qvalue"].measured["q_target"]
-
 
 @dataclass(frozen=True)
 class ActorTerms:
     """The terms of the actor's objective, from one forward pass of the actor.
 
-    BC-SAC's (section III-C) is minimised as ``rl + weight * bc``. The terms come apart so that
-    their gradients can be taken, logged and balanced one by one; the graph of the forward pass is
-    shared, so all but the last of several such calls need ``retain_graph=True``.
+    They are not summed, so that their gradients can be taken, logged and balanced one by one. The
+    graph of the forward pass is shared, so all but the last of several backward passes need
+    ``retain_graph=True``.
 
     Attributes:
         values: the terms by name.
@@ -181,21 +178,3 @@ class ActorTerms:
 
     values: Mapping[str, TermValue]
     log_prob: Tensor | None
-
-    @property
-    def rl(self) -> Tensor:
-        """``[]``, mean of alpha log pi - Q over the R reinforcement rows."""
-        return self.values["rl"].loss
-
-    @property
-    def bc(self) -> Tensor:
-        """``[]``, mean imitation error over the demonstration rows, not times lambda.
-
-        Where none is marked it is 0 with zero gradient; where the batch has no marks, a constant 0.
-        """
-        return self.values["bc"].loss
-
-    @property
-    def q(self) -> Tensor:
-        """``[R, 1]``, the critics' value of the sampled actions, detached."""
-        return self.values["rl"].measured["q_policy"]

@@ -11,7 +11,7 @@ from torchrl.modules import ProbabilisticActor
 from envs import Task
 from envs.disturbed import disturbed
 from envs.task import PROGRESS, SUCCESS, States, has_column
-from losses import BCSACLoss, Proposal
+from losses import BCSACLoss, GradientRatio, Proposal
 from pipeline.act.evaluation import Evaluator
 from pipeline.compute import replays_updates
 from pipeline.data.curriculum import ReverseCurriculum
@@ -190,6 +190,7 @@ def make_loss(
         bc_emphasis: Of the demonstrated steps in the actor's objective.
         proposal: Of another policy in the critics' targets.
     """
+    ratio = loss.bc_gradient_ratio
     return BCSACLoss(
         actor,
         critic,
@@ -198,6 +199,7 @@ def make_loss(
         target_entropy=loss.entropy_target(action_size),
         learn_temperature=loss.learn_temperature,
         bc_weight=loss.bc_weight.schedule(updates),
+        bc_rule=None if ratio is None else GradientRatio(ratio),
         imitation=loss.imitation_error,
         action_margin=loss.action_margin,
         target_subset=loss.target_subset,
@@ -228,7 +230,6 @@ def make_stepper(recipe: Recipe, loss: BCSACLoss) -> BCSACStepper:
             actor_delay=optim.actor_delay,
             diagnostics_period=optim.diagnostics_period,
         ),
-        bc_gradient_ratio=recipe.loss.bc_gradient_ratio,
         max_grad_norm=optim.max_grad_norm,
         anneal_updates=actor_updates(recipe) if optim.anneal_actor else None,
         cuda_graphs=replays_updates(recipe),

@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
-from losses import ActorTerms, GradientRatio, Objective
+from losses import ActorTerms, Objective
 from losses.rules import WeightRule
 from losses.terms import TermValue, total
 
@@ -27,26 +27,18 @@ class Weights:
 
     Args:
         loss: Terms, whose rules are read once.
-        bc_gradient_ratio: As the rule of the term ``bc``, where the term has none of its own.
-
-    Raises:
-        ValueError: If the ratio is given in two ways.
     """
 
-    def __init__(self, loss: Objective, bc_gradient_ratio: float | None = None) -> None:
-        terms = loss.composition.terms
+    def __init__(self, loss: Objective) -> None:
+        terms = loss.composition
         self.loss = loss
-        self.rules: dict[str, WeightRule] = {t.name: t.rule for t in terms if t.rule is not None}
-        if bc_gradient_ratio is not None:
-            if loss.composition["bc"].rule is not None:
-                raise ValueError(
-                    f"bc_gradient_ratio={bc_gradient_ratio} and the rule {self.rules['bc']} of the "
-                    "term 'bc' both set its weight: leave one of them out."
-                )
-            self.rules["bc"] = GradientRatio(bc_gradient_ratio)
-        device = loss.log_alpha.device
+        self.rules: dict[str, WeightRule] = {
+            term.name: term.rule for term in terms.of_actor if term.rule is not None
+        }
         self.tensors = {
-            term.name: torch.zeros((), device=device) for term in terms if term.weight is not None
+            term.name: torch.zeros((), device=loss.log_alpha.device)
+            for term in terms.terms
+            if term.weight is not None
         }
 
     def update(self) -> None:

@@ -62,8 +62,6 @@ class BCSACStepper(OptimizationStepper):
         loss: Terms and networks.
         actor_lr: Adam's rate for the actor; likewise ``critic_lr`` and ``temperature_lr``.
         rhythm: How often each part runs.
-        bc_gradient_ratio: That of a :class:`~losses.GradientRatio` for the imitation term; None
-            for the paper's fixed weights, or the term's own rule.
         max_grad_norm: Clips the norm of the actor's and the critic's gradient; None leaves them.
         anneal_updates: Actor updates over which a cosine takes the actor's rate to zero; None
             keeps it constant.
@@ -83,7 +81,6 @@ class BCSACStepper(OptimizationStepper):
         critic_lr: float,
         temperature_lr: float,
         rhythm: StepRhythm | None = None,
-        bc_gradient_ratio: float | None = None,
         max_grad_norm: float | None = None,
         anneal_updates: int | None = None,
         cuda_graphs: bool = False,
@@ -108,7 +105,7 @@ class BCSACStepper(OptimizationStepper):
         self.metrics = loss.composition.metrics
         """Names of what every step's result holds; what a step does not compute keeps its value."""
         self._unknown = torch.full((), torch.nan, device=loss.log_alpha.device)
-        self.weights = Weights(loss, bc_gradient_ratio)
+        self.weights = Weights(loss)
         self.gradients = ObjectiveGradients(loss, self.weights)
         # A target that moves at every update does so in its critics' loops, since the actor's
         # update does not look at it. One that moves now and then would need two compilations.

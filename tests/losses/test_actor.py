@@ -32,5 +32,6 @@ def test_a_bad_setting_is_named() -> None:
 def test_what_the_actor_maximises_of_the_ensemble(actor_value: str, expected: float) -> None:
     loss = BCSACLoss(make_actor(), ConstantCritics(2.0, 1.0, 6.0), actor_value=actor_value)
     torch.testing.assert_close(
-        loss.actor_terms(make_batch(4, demo_rows=None)).q, torch.full((4, 1), expected)
+        loss.actor_terms(make_batch(4, demo_rows=None)).values["rl"].measured["q_policy"],
+        torch.full((4, 1), expected),
     )

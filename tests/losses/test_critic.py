@@ -12,12 +12,12 @@ from torch import nn
 
 from losses import BCSACLoss, CriticEnsemble, CriticPass, Objective, SoftTD, SoftValue, Temperature
 from tests.losses.toys import (
-    OBSERVATION_SIZE,
     ConstantCritics,
     Critic,
     make_actor,
     make_batch,
     make_loss,
+    target_of,
 )
 
 
@@ -63,7 +63,7 @@ def test_the_entropy_bonus_is_alpha_times_the_density() -> None:
     actor = make_actor()
     loss = BCSACLoss(actor, ConstantCritics(1.0, 6.0), gamma=1.0, init_temperature=0.5)
     torch.manual_seed(2)
-    target = loss.critic_terms(batch).target
+    target = target_of(loss, batch)
     torch.manual_seed(2)
     policy = actor.get_dist(batch["next"].select("observation"))
     _, log_prob = policy.rsample_and_log_prob()
@@ -73,8 +73,7 @@ def test_the_entropy_bonus_is_alpha_times_the_density() -> None:
 
 def test_the_target_is_no_part_of_the_graph() -> None:
     loss = make_loss()
-    assert not loss.critic_terms(make_batch(4, demo_rows=None)).target.requires_grad
-    assert loss.batch(make_batch(4, None)).next_observation.shape[-1] == OBSERVATION_SIZE
+    assert not target_of(loss, make_batch(4, demo_rows=None)).requires_grad
 
 
 @pytest.mark.parametrize(
@@ -99,16 +98,16 @@ def test_steps_discount_the_future_by_their_number() -> None:
     loss = make_loss(gamma=0.9)
     two_steps = batch.clone().set("steps_to_next_obs", torch.full((12, 1), 2))
     torch.manual_seed(1)
-    in_two_steps = loss.critic_terms(two_steps).target
+    in_two_steps = target_of(loss, two_steps)
     loss.gamma = 0.81
     torch.manual_seed(1)
-    torch.testing.assert_close(in_two_steps, loss.critic_terms(batch).target)
+    torch.testing.assert_close(in_two_steps, target_of(loss, batch))
 
 
 def test_only_a_termination_ends_the_return() -> None:
     loss = make_loss()
     batch = make_batch(12, demo_rows=None)
-    reward, target = batch["next", "reward"], loss.critic_terms(batch).target
+    reward, target = batch["next", "reward"], target_of(loss, batch)
     terminated = batch["next", "terminated"]
     assert (batch["next", "done"] & ~terminated).any()  # truncations: they bootstrap
     assert torch.equal(target == reward, terminated)
@@ -119,7 +118,7 @@ def test_the_target_can_do_without_entropy() -> None:
     for temperature in (0.1, 10.0):
         torch.manual_seed(0)
         loss = make_loss(entropy_in_target=False, init_temperature=temperature)
-        targets.append(loss.critic_terms(make_batch(12, demo_rows=None)).target)
+        targets.append(target_of(loss, make_batch(12, demo_rows=None)))
     assert torch.equal(*targets)
 
 
@@ -139,7 +138,16 @@ def test_the_target_can_value_the_policy_without_its_noise() -> None:
         loss = BCSACLoss(
             actor, ActionSum(), target_action=action, gamma=1.0, entropy_in_target=False
         )
-        assert torch.allclose(loss.critic_terms(batch).target, mean) == is_mean
+        assert torch.allclose(target_of(loss, batch), mean) == is_mean
+
+
+@pytest.mark.parametrize("action", ["sample", "mean"])
+def test_only_a_sampled_action_is_drawn(action: str) -> None:
+    loss = make_loss(target_action=action, entropy_in_target=False)
+    batch = make_batch(6, demo_rows=None)
+    before = torch.random.get_rng_state()
+    loss.critic_terms(batch)
+    assert torch.equal(torch.random.get_rng_state(), before) == (action == "mean")
 
 
 @pytest.mark.parametrize(("subset", "values"), [(None, {1.0}), (1, {1.0, 2.0, 6.0}), (3, {1.0})])
@@ -151,7 +159,7 @@ def test_the_target_takes_the_minimum_over_a_random_subset(
     batch = make_batch(4, demo_rows=None)
     batch["next", "reward"].zero_()
     batch["next", "terminated"].zero_()
-    seen = {loss.critic_terms(batch).target[0].item() for _ in range(60)}
+    seen = {target_of(loss, batch)[0].item() for _ in range(60)}
     assert seen == values
 
 
@@ -186,6 +194,6 @@ def test_critics_outside_the_target_subset_are_not_run() -> None:
         critics.ran.clear()
         loss = BCSACLoss(actor, critic, target_subset=2)
         torch.manual_seed(3)
-        targets.append(loss.critic_terms(batch).target)
+        targets.append(target_of(loss, batch))
         assert critics.ran == ([2, 5] if critic is critics else [5, 5])
     torch.testing.assert_close(*targets)

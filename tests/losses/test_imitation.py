@@ -19,7 +19,7 @@ from losses import (
     Imitation,
     QFilter,
 )
-from tests.losses.toys import gradients, make_actor, make_batch, make_loss
+from tests.losses.toys import gradients, make_actor, make_batch, make_loss, q_of
 
 
 def seen_of(loss: BCSACLoss, rows: int, demo_rows: int | None) -> ActorPass:
@@ -64,20 +64,6 @@ def test_the_margin_is_where_demonstrated_actions_end() -> None:
     batch["action"].fill_(1.0)
     found = Imitation("mse", margin=0.5)(ActorPass(loss, loss.batch(batch)))
     assert found.loss.item() == pytest.approx(0.25)
-
-
-def test_what_is_imitated_is_the_demonstrated_action() -> None:
-    """Wherever a batch has it: the error and the filter ask for it by this one name."""
-    loss = BCSACLoss(make_actor(), SumOfActions())
-    seen = seen_of(loss, 4, 4)
-    batch = seen.demonstrations.batch
-    clean = torch.full_like(batch.action, 0.5)
-    batch.demonstrated_action = clean
-    term = Imitation("mse", row_weights=[QFilter()])
-    own = seen.policy.deterministic_sample
-    kept = clean.sum(-1) > own.sum(-1)
-    expected = ((own - 0.5).square().mean(-1) * kept).mean()
-    torch.testing.assert_close(term(seen).loss, expected)
 
 
 def test_without_marks_nothing_is_weighed() -> None:
@@ -138,8 +124,8 @@ def test_the_q_filter_leaves_out_demonstrations_worse_than_the_policy() -> None:
     batch["action"] = batch["action"].contiguous()
     everything = BCSACLoss(actor, SumOfActions()).bc_loss(batch[4:6])
     # The mean is over all four demonstrations, of which two count.
-    assert torch.isclose(loss.actor_terms(batch).bc, everything / 2)
-    assert loss.actor_terms(batch).bc.requires_grad
+    assert torch.isclose(loss.actor_terms(batch).values["bc"].loss, everything / 2)
+    assert loss.actor_terms(batch).values["bc"].loss.requires_grad
 
 
 def test_emphasis_multiplies_the_error_of_each_demonstrated_step() -> None:
@@ -154,22 +140,22 @@ def test_emphasis_multiplies_the_error_of_each_demonstrated_step() -> None:
     )
     errors = [loss.bc_loss(batch[row : row + 1]) for row in (2, 4)]
     expected = (2.0 * errors[0] + 0.5 * errors[1]) / 3.0
-    torch.testing.assert_close(loss.actor_terms(batch).bc, expected)
+    torch.testing.assert_close(loss.actor_terms(batch).values["bc"].loss, expected)
     torch.testing.assert_close(loss(batch)["bc_nll"], expected.detach())
 
 
 def test_emphasis_and_q_filter_both_apply() -> None:
     batch = make_batch(6, demo_rows=6)
     loss = make_loss(q_filter=True, rl_on_demos=True)
-    filtered = loss.actor_terms(batch).bc
+    filtered = loss.actor_terms(batch).values["bc"].loss
     loss.bc_emphasis = lambda rows: torch.full((len(rows),), 3.0)
-    torch.testing.assert_close(loss.actor_terms(batch).bc, 3.0 * filtered)
+    torch.testing.assert_close(loss.actor_terms(batch).values["bc"].loss, 3.0 * filtered)
 
 
 def test_without_the_q_filter_every_demonstration_counts() -> None:
     loss = BCSACLoss(make_actor(), SumOfActions())
     batch = make_batch(8, 4)
-    assert torch.isclose(loss.actor_terms(batch).bc, loss.bc_loss(batch))
+    assert torch.isclose(loss.actor_terms(batch).values["bc"].loss, loss.bc_loss(batch))
 
 
 @pytest.mark.parametrize("edge", [1.0, -1.3])
@@ -188,7 +174,7 @@ def test_the_imitation_term_is_the_mean_over_the_demonstrations_alone() -> None:
     batch = make_batch(12, demo_rows=4)
     alone = loss.bc_loss(batch[-4:])
     torch.testing.assert_close(loss.bc_loss(batch), alone)
-    torch.testing.assert_close(loss.actor_terms(batch).bc, alone)
+    torch.testing.assert_close(loss.actor_terms(batch).values["bc"].loss, alone)
     one_by_one = torch.stack([loss.bc_loss(batch[row : row + 1]) for row in range(8, 12)])
     torch.testing.assert_close(one_by_one.mean(), alone)
 
@@ -208,11 +194,11 @@ def test_the_clean_action_is_imitated_and_the_executed_one_valued() -> None:
     both["action"] = torch.rand_like(shown["action"]) - 0.5
     both["imitated_action"] = shown["action"].clone()
     executed = both.exclude("imitated_action")
-    for imitation in (loss.bc_loss, lambda batch: loss.actor_terms(batch).bc):
+    for imitation in (loss.bc_loss, lambda batch: loss.actor_terms(batch).values["bc"].loss):
         assert torch.equal(imitation(both), imitation(shown))
         assert not torch.isclose(imitation(both), imitation(executed))
-    assert torch.equal(loss.critic_terms(both).q, loss.critic_terms(executed).q)
-    assert not torch.isclose(loss.critic_terms(both).q, loss.critic_terms(shown).q).any()
+    assert torch.equal(q_of(loss, both), q_of(loss, executed))
+    assert not torch.isclose(q_of(loss, both), q_of(loss, shown)).any()
 
 
 def test_the_q_filter_judges_what_would_be_imitated() -> None:
@@ -221,5 +207,5 @@ def test_the_q_filter_judges_what_would_be_imitated() -> None:
     batch = make_batch(8, 4)
     batch["imitated_action"] = torch.full_like(batch["action"], 0.99)
     batch["action"] = torch.full_like(batch["action"], -0.99)
-    assert torch.isclose(loss.actor_terms(batch).bc, loss.bc_loss(batch))
-    assert loss.actor_terms(batch.exclude("imitated_action")).bc == 0
+    assert torch.isclose(loss.actor_terms(batch).values["bc"].loss, loss.bc_loss(batch))
+    assert loss.actor_terms(batch.exclude("imitated_action")).values["bc"].loss == 0

@@ -20,7 +20,7 @@ def column(*values: float) -> torch.Tensor:
 
 # One transition: r = 1, Q' = 4, log pi' = 2, alpha = 1/4, so the soft value is 4 - 1/2 = 3.5.
 TD_TABLE = [
-    # terminated, gamma, steps, entropy_in_target, target
+    # terminated, gamma, steps, with entropy, target
     (False, 0.5, None, True, 1 + 0.5 * 3.5),
     (True, 0.5, None, True, 1.0),
     (False, 0.5, None, False, 1 + 0.5 * 4.0),
@@ -40,11 +40,10 @@ def test_soft_td_target_by_hand(
         reward=column(1.0),
         terminated=torch.tensor([[terminated]]),
         next_q=column(4.0),
-        next_log_prob=torch.tensor([2.0]),
-        temperature=torch.tensor(0.25),
         gamma=gamma,
         steps=None if steps is None else torch.tensor([[steps]]),
-        entropy_in_target=entropy,
+        next_log_prob=torch.tensor([2.0]) if entropy else None,
+        temperature=torch.tensor(0.25),
     )
     torch.testing.assert_close(target, column(expected))
 
@@ -182,14 +181,12 @@ def test_masked_mean_of_no_rows_is_zero_with_zero_gradient() -> None:
 COLUMN, ROWS, SCALAR = torch.zeros(4, 1), torch.zeros(4), torch.zeros(())
 FALSE = COLUMN.bool()
 WRONG_SHAPES = {
-    "a row of rewards": lambda: F.soft_td_target(ROWS, FALSE, COLUMN, ROWS, SCALAR, gamma=1.0),
-    "other next_q": lambda: F.soft_td_target(COLUMN, FALSE, COLUMN[1:], ROWS, SCALAR, gamma=1.0),
+    "a row of rewards": lambda: F.soft_td_target(ROWS, FALSE, COLUMN, gamma=1.0),
+    "other next_q": lambda: F.soft_td_target(COLUMN, FALSE, COLUMN[1:], gamma=1.0),
     "a column of log_prob": lambda: F.soft_td_target(
-        COLUMN, FALSE, COLUMN, COLUMN, SCALAR, gamma=1.0
+        COLUMN, FALSE, COLUMN, gamma=1.0, next_log_prob=COLUMN, temperature=SCALAR
     ),
-    "a row of steps": lambda: F.soft_td_target(
-        COLUMN, FALSE, COLUMN, ROWS, SCALAR, gamma=1.0, steps=ROWS
-    ),
+    "a row of steps": lambda: F.soft_td_target(COLUMN, FALSE, COLUMN, gamma=1.0, steps=ROWS),
     "q without ensemble": lambda: F.critic_error(COLUMN, COLUMN),
     "a row of targets": lambda: F.critic_error(COLUMN[None], ROWS),
     "log_prob and q": lambda: F.actor_objective(COLUMN, COLUMN, SCALAR),
@@ -205,6 +202,11 @@ WRONG_SHAPES = {
 def test_a_shape_that_would_broadcast_is_an_error(call: object) -> None:
     with pytest.raises(ValueError, match="expected"):
         call()  # type: ignore[operator]
+
+
+def test_an_entropy_bonus_without_its_weight_is_an_error() -> None:
+    with pytest.raises(ValueError, match="needs its weight: give temperature"):
+        F.soft_td_target(COLUMN, FALSE, COLUMN, gamma=1.0, next_log_prob=ROWS)
 
 
 @pytest.mark.parametrize("size", [0, 5])

@@ -155,7 +155,7 @@ def test_imitation_alone_needs_no_other_rows_and_draws_nothing() -> None:
     terms = loss.actor_terms(batch)
     assert torch.equal(torch.random.get_rng_state(), before)
     assert terms.log_prob is None
-    assert torch.equal(terms.bc, loss.bc_loss(batch))
+    assert torch.equal(terms.values["bc"].loss, loss.bc_loss(batch))
     assert loss.composition.metrics == ("bc_nll", "bc_weight")
 
 
@@ -274,10 +274,13 @@ def test_a_term_may_read_entries_of_its_own() -> None:
     class Marked(ActorTerm):
         name: str = "marked"
 
+        reads = ("observation", "mark")
+
         def __call__(self, seen: ActorPass) -> TermValue:
             mark: Tensor = seen.batch.data["mark"]
             return TermValue((mark * seen.policy.deterministic_sample).mean())
 
     batch: TensorDict = make_batch(4, demo_rows=None).set("mark", torch.zeros(4, 1))
-    terms = objective(*SAC, Marked()).actor_terms(batch)
-    assert terms.values["marked"].loss.item() == 0.0
+    loss = objective(*SAC, Marked())
+    assert loss.actor_terms(batch).values["marked"].loss.item() == 0.0
+    assert set(loss.in_keys) == {*objective(*SAC).in_keys, "mark"}

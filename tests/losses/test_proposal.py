@@ -10,7 +10,7 @@ from torch import Tensor
 
 from losses import BCSACLoss, Proposal, SoftTD
 from losses.policy import policy_distribution
-from tests.losses.toys import Critic, make_actor, make_batch
+from tests.losses.toys import Critic, make_actor, make_batch, target_of
 
 OWN = torch.tensor([[0.1, 0.1], [0.2, 0.2], [0.3, 0.3]])
 
@@ -70,7 +70,7 @@ def test_the_target_takes_the_better_action_of_the_next_state(monkeypatch: pytes
     assert 0 < (of_each[0] < of_each[1]).sum() < 32, "either is the better one somewhere"
     best = torch.maximum(*of_each).masked_fill(ended, 0.0)
     expected = batch["next", "reward"] + 0.9 * best
-    torch.testing.assert_close(loss.critic_terms(batch).target, expected)
+    torch.testing.assert_close(target_of(loss, batch), expected)
 
 
 def test_the_clone_does_not_learn_and_is_no_part_of_the_loss():

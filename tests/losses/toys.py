@@ -75,8 +75,35 @@ def make_batch(rows: int, demo_rows: int | None) -> TensorDict:
     return batch
 
 
+def make_full_batch(rows: int, demo_rows: int) -> TensorDict:
+    """The same with all that a batch may have besides: every third row's end is not known."""
+    batch = make_batch(rows, demo_rows)
+    batch["steps_to_next_obs"] = torch.full((rows, 1), 3)
+    batch["imitated_action"] = torch.rand(rows, ACTION_SIZE) * 1.6 - 0.8
+    batch["to_end"] = TensorDict(
+        {
+            "reward": 10.0 * torch.rand(rows, 1),
+            "steps": torch.arange(rows).unsqueeze(-1) % 3,
+            "observation": torch.randn(rows, OBSERVATION_SIZE),
+            "terminated": torch.arange(rows).unsqueeze(-1) % 2 == 0,
+        },
+        [rows],
+    )
+    return batch
+
+
 def make_loss(**options: object) -> BCSACLoss:
     return BCSACLoss(make_actor(), [Critic(), Critic()], **options)  # type: ignore[arg-type]
+
+
+def q_of(loss: BCSACLoss, batch: TensorDict) -> Tensor:
+    """The critics' values ``[E, R, 1]`` of the batch's own actions."""
+    return loss.critic_terms(batch).values["qvalue"].measured["q_data"]
+
+
+def target_of(loss: BCSACLoss, batch: TensorDict) -> Tensor:
+    """What the critics are regressed on ``[R, 1]``."""
+    return loss.critic_terms(batch).values["qvalue"].measured["q_target"]
 
 
 def gradients(loss: Tensor, module: nn.Module) -> list[Tensor]:

@@ -243,12 +243,6 @@ def test_a_term_may_be_about_some_parameters_and_what_becomes_of_them():
     assert metrics["size"] < metrics["small"]
 
 
-def test_a_ratio_given_twice_is_refused():
-    loss = make_objective(Imitation(rule=GradientRatio(1.0)))
-    with pytest.raises(ValueError, match=r"bc_gradient_ratio=2\.0 and the rule .* leave one of"):
-        make_stepper(loss, bc_gradient_ratio=2.0)
-
-
 def test_a_stepper_needs_something_to_teach():
     actor = make_actor(OBSERVATION_SIZE, ACTION_SIZE, [8])
     critic = BatchedCritics(OBSERVATION_SIZE, ACTION_SIZE, [8], 2)

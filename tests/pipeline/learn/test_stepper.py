@@ -9,10 +9,12 @@ import pytest
 import torch
 from torch import nn
 
-from losses import BCSACLoss, ExponentialWeight
+from losses import BCSACLoss, ExponentialWeight, GradientRatio
+from pipeline import components
 from pipeline.learn.imitation import ImitationStepper
+from pipeline.learn.objective import LossSettings
 from pipeline.learn.stepper import BCSACStepper, StepRhythm
-from tests.pipeline.toys import make_batch, make_loss, parameters_of, same
+from tests.pipeline.toys import ACTION_SIZE, make_batch, make_loss, parameters_of, same
 
 
 def make_stepper(loss: BCSACLoss, **options) -> BCSACStepper:
@@ -145,8 +147,8 @@ def gradients_of_a_step(
     reference.critic_terms(batch)  # takes its share of the random numbers
     terms = reference.actor_terms(batch)
     actor = list(reference.actor.parameters())
-    g_rl = torch.autograd.grad(terms.rl, actor, retain_graph=True)
-    g_bc = torch.autograd.grad(terms.bc, actor)
+    g_rl = torch.autograd.grad(terms.values["rl"].loss, actor, retain_graph=True)
+    g_bc = torch.autograd.grad(terms.values["bc"].loss, actor)
     given = flat(parameter.grad for parameter in loss.actor.parameters())
     return given, flat(g_rl), flat(g_bc), metrics
 
@@ -161,10 +163,10 @@ def test_fixed_weights_add_the_gradients():
 @pytest.mark.parametrize("updates", [0, 3])
 def test_in_ratio_mode_imitation_has_a_set_share_of_the_rl_gradient(updates: int):
     """|w g_BC| = lambda(n) ratio |g_RL|, in the direction of g_BC."""
-    loss = make_loss(bc_weight=ExponentialWeight(init=0.8, decay=0.5))
+    loss = make_loss(bc_weight=ExponentialWeight(init=0.8, decay=0.5), bc_rule=GradientRatio(2.5))
     loss.updates = updates
     share = 0.8 * 0.5**updates * 2.5
-    given, g_rl, g_bc, metrics = gradients_of_a_step(loss, 3, bc_gradient_ratio=2.5)
+    given, g_rl, g_bc, metrics = gradients_of_a_step(loss, 3)
     imitation = given - g_rl
     torch.testing.assert_close(imitation.norm(), share * g_rl.norm(), rtol=1e-4, atol=1e-6)
     torch.testing.assert_close(
@@ -178,9 +180,19 @@ def test_in_ratio_mode_imitation_has_a_set_share_of_the_rl_gradient(updates: int
     torch.testing.assert_close(metrics["bc_weight"] * g_bc.norm(), share * g_rl.norm())
 
 
+@pytest.mark.parametrize(("ratio", "rule"), [(None, None), (2.5, GradientRatio(2.5))])
+def test_the_configured_ratio_is_the_rule_of_the_imitation_term(
+    ratio: float | None, rule: GradientRatio | None
+):
+    networks = make_loss()
+    settings = LossSettings(bc_gradient_ratio=ratio)
+    loss = components.make_loss(settings, networks.actor, networks.critic, ACTION_SIZE, updates=1)
+    assert loss.composition["bc"].rule == rule
+
+
 def test_a_ratio_of_zero_imitates_nothing():
-    loss = make_loss(bc_weight=0.8)
-    given, g_rl, g_bc, metrics = gradients_of_a_step(loss, 3, bc_gradient_ratio=0.0)
+    loss = make_loss(bc_weight=0.8, bc_rule=GradientRatio(0.0))
+    given, g_rl, g_bc, metrics = gradients_of_a_step(loss, 3)
     assert g_bc.norm() > 0
     torch.testing.assert_close(given, g_rl)
     assert metrics["bc_weight"] == 0
@@ -189,9 +201,10 @@ def test_a_ratio_of_zero_imitates_nothing():
 def test_ratio_mode_without_demonstrations_is_reinforcement_alone():
     loss = make_loss(bc_weight=1.0)
     plain = deepcopy(loss)
-    for one, ratio in ((loss, 2.0), (plain, None)):
+    loss.configure("bc", rule=GradientRatio(2.0))
+    for one in (loss, plain):
         torch.manual_seed(5)
-        make_stepper(one, bc_gradient_ratio=ratio).step(None, make_batch(6))
+        make_stepper(one).step(None, make_batch(6))
     assert same(parameters_of(loss), parameters_of(plain))
 
 

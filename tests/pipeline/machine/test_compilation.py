@@ -19,7 +19,7 @@ from torch._dynamo.utils import counters
 from torch._inductor.utils import fresh_cache
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from losses import BCSACLoss
+from losses import BCSACLoss, GradientRatio
 from pipeline.learn.imitation import ImitationStepper
 from pipeline.learn.optimizers import AdamStep, make_adam, set_recordable
 from pipeline.machine.compilation import Compiled, _compute_once, compiled, why_not_compiled
@@ -38,6 +38,8 @@ needs_compiler = pytest.mark.skipif(
     why_not_compiled() is not None, reason=f"cannot compile here: {why_not_compiled()}"
 )
 
+RATIO = GradientRatio(0.5)
+
 
 def close(found: object, expected: object) -> None:
     torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9, equal_nan=True)
@@ -51,8 +53,8 @@ def close(found: object, expected: object) -> None:
         ({}, {}, marked_and_unmarked),
         # Two kinds of draws in one update, whose order is part of a run.
         (
-            {"rl_on_demos": True, "target_subset": 2, "q_filter": True},
-            {"bc_gradient_ratio": 0.5, "max_grad_norm": 1.0, "target_period": 1},
+            {"rl_on_demos": True, "target_subset": 2, "q_filter": True, "bc_rule": RATIO},
+            {"max_grad_norm": 1.0, "target_period": 1},
             marked,
         ),
     ],

@@ -16,6 +16,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from losses import GradientRatio
 from pipeline.learn.imitation import ImitationStepper
 from pipeline.machine import cuda_graphs
 from pipeline.machine.cuda_graphs import CudaGraphs
@@ -54,9 +55,13 @@ def batches(count: int) -> list[TensorDict]:
         {"q_filter": True},
     ],
 )
-@pytest.mark.parametrize("training", [{}, {"bc_gradient_ratio": 0.5, "max_grad_norm": 1.0}])
-def test_replayed_updates_are_the_ordinary_ones(options: dict, training: dict):
-    plain = make_loss(DEVICE, **options)
+@pytest.mark.parametrize(
+    ("rule", "training"), [(None, {}), (GradientRatio(0.5), {"max_grad_norm": 1.0})]
+)
+def test_replayed_updates_are_the_ordinary_ones(
+    options: dict, rule: GradientRatio | None, training: dict
+):
+    plain = make_loss(DEVICE, bc_rule=rule, **options)
     graphs = deepcopy(plain)
     given = batches(UPDATES)
     expected = learnt(plain, make_stepper(plain, **training), given)
