@@ -252,7 +252,7 @@ class HandEnv(EnvBase):
         if arrays["episodes"].shape != (self.num_copies,):
             raise ValueError(
                 f"this state holds {len(arrays['episodes'])} {called}, the environment has "
-                f"{self.num_copies}: build it with num_{called}={len(arrays['episodes'])}"
+                f"{self.num_copies}: build it with num_envs={len(arrays['episodes'])}"
             )
         self.simulator.set_state(arrays)
         self._seed = int(arrays["seed"])

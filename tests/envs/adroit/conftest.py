@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from envs.adroit.hand import HandTask
 from envs.adroit.simulator import HandSimulator
-from envs.door.simulator import DOOR
+from envs.door.hand import DOOR
 from envs.hammer.hand import HAMMER
 from envs.pen.hand import PEN
 from envs.relocate.hand import RELOCATE

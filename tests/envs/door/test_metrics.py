@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
+from envs.adroit.simulator import HandSimulator
+from envs.door.hand import DOOR, DOOR_POSITION
 from envs.door.metrics import DAPG_SUCCESS_STEPS, ZERO_TOLERANCE_RAD, summarise
-from envs.door.simulator import DoorSimulator
-from envs.door.starts import door_position
-from tests.envs.door.conftest import PROPERTY
+from tests.envs.door.conftest import PROPERTY, door_position
 
 
 def episodes_by_hand():
@@ -124,8 +124,8 @@ def test_bad_input(arguments, message):
 
 def test_a_latched_door_stays_below_the_tolerance(rng):
     """Random hands that never turn the latch past 0.5 rad do not count as having opened it."""
-    with DoorSimulator(24) as simulator:
-        simulator.reset([door_position(3, door, 0) for door in range(24)])
+    with HandSimulator(DOOR, 24) as simulator:
+        simulator.start({DOOR_POSITION: [door_position(3, door, 0) for door in range(24)]})
         angles = []
         for step in range(120):
             if step % 20 == 0:
@@ -143,7 +143,7 @@ def test_an_unlatched_door_passes_the_tolerance(one_door):
     """A gentle pull (5 N m) carries a free door past it within a quarter of a second."""
     qpos = np.zeros((1, 30))
     qpos[0, 29] = 1.2
-    one_door.reset([[-0.25, 0.3, 0.3]], qpos=qpos)
+    one_door.start({DOOR_POSITION: [[-0.25, 0.3, 0.3]]}, qpos=qpos)
     pulled = one_door.data(0)
     pulled.joint("door_hinge").qfrc_applied[:] = 5.0
     state = one_door.get_state()
