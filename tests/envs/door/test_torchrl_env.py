@@ -268,6 +268,11 @@ def test_steps_with_an_open_door_are_saved():
     truncated_after(env, 2)
     other.load_state_dict(env.state_dict())
     assert truncated_after(other, 1).all()
+    # As states of before call them.
+    state = env.get_extra_state()
+    state["open"] = state.pop("success_streak")
+    other.set_extra_state(state)
+    assert truncated_after(other, 1).all()
 
 
 def test_a_door_that_is_left_out_does_not_count_on():
