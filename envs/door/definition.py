@@ -56,7 +56,6 @@ def summary(
         raise ValueError("a door's progress is its hinge angle, which the rollouts do not hold")
     found = metrics.summarise(
         progress,
-        returns,
         lengths,
         reached=stages[REACHED.label],
         latch_turned=stages[LATCH_TURNED.label],
