@@ -11,6 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from envs.adroit.judging import norm
+
 OBSERVATION_SIZE: Final = 46
 """Entries of one observation (float32)."""
 ACTION_SIZE: Final = 26
@@ -81,7 +83,7 @@ def reward(
         to_goal: Distances between the nail's head and its goal, shape ``[...]``.
         speed: Norms of the joint velocities, shape ``[...]``.
     """
-    value = -0.1 * _norm(palm - hammer) - _norm(head - nail) - 10 * to_goal - 0.01 * speed
+    value = -0.1 * norm(palm - hammer) - norm(head - nail) - 10 * to_goal - 0.01 * speed
     lifted = (hammer[..., 2] > LIFTED) & (head[..., 2] > LIFTED)
     value = value + 2 * lifted + 25 * (to_goal < CLOSE) + 75 * (to_goal < DRIVEN)
     return value.astype(np.float32)
@@ -116,11 +118,6 @@ def driven(observation: Floats) -> Floats:
     return np.asarray(observation)[..., NAIL]
 
 
-def never(observation: Floats) -> NDArray[np.bool_]:
-    """No observation ends an episode: False, shape ``[...]``. Its time limit truncates it."""
-    return np.zeros(np.shape(observation)[:-1], dtype=bool)
-
-
 def euler_angles(quaternion: Floats) -> NDArray[np.float64]:
     """Euler angles ``[..., 3]`` of unit quaternions ``[..., 4]`` (w, x, y, z).
 
@@ -153,7 +150,3 @@ def rotation(angles: Floats) -> NDArray[np.float64]:
         [i * k - a * j * c, i * c + a * j * k, a * b],
     ]
     return np.stack([np.stack(row, -1) for row in rows], -2)
-
-
-def _norm(vector: Floats) -> Floats:
-    return np.linalg.norm(vector, axis=-1)
