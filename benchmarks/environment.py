@@ -20,7 +20,7 @@ from benchmarks.raw_door import RawDoor
 from benchmarks.statistics import rounded, spread
 from benchmarks.worker import Entry, available_cores, race
 from envs import EnvOptions, find_task
-from envs.door.scene import build_scene
+from envs.door.hand import build_scene
 from envs.door.task import ACTION_SIZE, HORIZON
 
 CALL_STEPS = 20

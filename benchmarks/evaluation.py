@@ -25,8 +25,9 @@ from benchmarks.statistics import rounded, spread
 from benchmarks.worker import available_cores, run_once
 from configs import compose
 from envs import find_task
-from envs.door.scene import DoorScene, build_scene
-from envs.door.starts import door_position
+from envs.adroit.scene import HandScene
+from envs.adroit.starts import placement_of
+from envs.door.hand import DOOR, DOOR_POSITION, build_scene
 from pipeline import components
 from pipeline.cloning import behaviour_cloned
 from pipeline.data.demonstrations import make_demonstrations
@@ -69,7 +70,7 @@ def by_episode(
     return episodes
 
 
-def replay(scene: DoorScene, seed: int, episodes: list[NDArray[np.float32]], threads: int) -> float:
+def replay(scene: HandScene, seed: int, episodes: list[NDArray[np.float32]], threads: int) -> float:
     """Seconds of the physics of all episodes."""
     controls = [scene.control_middle + scene.control_half_range * a for a in episodes]
     doors = [RawDoor(scene) for _ in range(threads)]
@@ -82,7 +83,7 @@ def replay(scene: DoorScene, seed: int, episodes: list[NDArray[np.float32]], thr
                 index = queue.popleft()
             except IndexError:
                 return
-            door.reset(door_position(seed, index, 0))
+            door.reset(placement_of(DOOR, seed, index, 0)[DOOR_POSITION])
             for control in controls[index]:
                 door.step(control)
 

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs import find_task
+from envs.adroit.simulator import HandSimulator
 from envs.demonstrations import DemoOptions, load_demonstrations
 from envs.door import task
-from envs.door.demos import DOOR_POSITION
-from envs.door.simulator import DoorSimulator
+from envs.door.hand import DOOR, DOOR_POSITION
 
 SEQUENCES = 100
 NOISE = 0.1
@@ -39,8 +39,8 @@ def play() -> NDArray[np.float32]:
     noise = np.random.default_rng(0).normal(scale=NOISE, size=actions.shape)
     noise[: len(episodes)] = 0.0
     doors = np.array([episode.start[DOOR_POSITION] for episode in chosen])
-    with DoorSimulator(SEQUENCES, 1) as simulator:
-        first = simulator.reset(doors)
+    with HandSimulator(DOOR, SEQUENCES, 1) as simulator:
+        first = simulator.start({DOOR_POSITION: doors})
         rest = [simulator.step(actions[:, t] + noise[:, t]) for t in range(length)]
     return np.stack([first, *(after.copy() for after in rest)], axis=1)
 

@@ -12,22 +12,22 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from envs.door.scene import SUBSTEPS, DoorScene
+from envs.adroit.scene import SUBSTEPS, HandScene
+from envs.door.hand import DOOR_POSITION, OBSERVED_JOINTS
 
 
 class RawDoor:
     """A model and its data. An action is five calls' worth of ``mj_step``."""
 
-    def __init__(self, scene: DoorScene) -> None:
+    def __init__(self, scene: HandScene) -> None:
         self.model = copy.copy(scene.model)
         self.data = mujoco.MjData(self.model)
         # Views into MuJoCo's memory, so that reading them costs no attribute access.
         self.control = self.data.ctrl
         self.qpos = self.data.qpos
-        self.palm = self.data.site_xpos[scene.palm_site]
-        self.handle = self.data.site_xpos[scene.handle_site]
-        self.frame = self.model.body_pos[scene.frame_body]
-        self.joints = np.r_[1 : scene.hinge_qpos, scene.latch_qpos, scene.hinge_qpos]
+        self.palm = scene.read["palm"].of(self.data)
+        self.handle = scene.read["handle"].of(self.data)
+        self.frame = scene.placed[DOOR_POSITION].of(self.model)
 
     def reset(self, position: NDArray[np.float64] | None = None) -> None:
         """The task's reset pose; the door at ``position`` [3] (m), or where it was."""
@@ -44,5 +44,5 @@ class RawDoor:
     def observation(self) -> NDArray[np.float64]:
         """The task's 38 observations."""
         return np.concatenate(
-            [self.qpos[self.joints], self.palm, self.handle, self.palm - self.handle]
+            [self.qpos[OBSERVED_JOINTS], self.palm, self.handle, self.palm - self.handle]
         )

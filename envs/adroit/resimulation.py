@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,9 +30,15 @@ class Resimulation:
     An episode begins in its recorded state, or, where the file holds none, in the pose in which the
     task begins. The replayed episode holds the states that a policy will really see, and the task's
     reward; actions stay as recorded.
+
+    Attributes:
+        task: plays them.
+        prepare: gives an episode the start from which it is to be played, where that is not the
+            recorded one; it raises a `DemonstrationError` where it cannot.
     """
 
     task: HandTask
+    prepare: Callable[[Episode], Episode] | None = None
 
     def __call__(
         self, episodes: Sequence[Episode], *, num_threads: int | None = None
@@ -44,11 +50,14 @@ class Resimulation:
             num_threads: of the simulator, default all available cores. No effect on the result.
 
         Raises:
-            DemonstrationError: the physics diverges, or an episode does not say where things stand.
+            DemonstrationError: the physics diverges, an episode does not say where things stand, or
+                `prepare` raises one.
         """
         played: list[Episode] = []
         if not episodes:
             return played
+        if self.prepare is not None:
+            episodes = [self.prepare(episode) for episode in episodes]
         size = min(len(episodes), BATCH)
         with HandSimulator(self.task, size, num_threads) as simulator:
             for first in range(0, len(episodes), size):

@@ -46,7 +46,7 @@ class HandSimulator:
 
     def __init__(self, task: HandTask, num_copies: int = 1, num_threads: int | None = None) -> None:
         if num_copies < 1:
-            raise ValueError(f"num_{task.copies} must be at least 1, got {num_copies}")
+            raise ValueError(f"num_copies must be at least 1, got {num_copies}")
         if num_threads is not None and num_threads < 1:
             raise ValueError(f"num_threads must be at least 1 (or None), got {num_threads}")
         self.task = task

@@ -122,7 +122,7 @@ class HandEnv(EnvBase):
         self._seed = seed
         self._episodes = np.zeros(self.num_copies, dtype=np.int64)
         self._elapsed = np.zeros(self.num_copies, dtype=np.int64)
-        self._open = np.zeros(self.num_copies, dtype=np.int64)
+        self._success_streak = np.zeros(self.num_copies, dtype=np.int64)
 
     def _reset(self, tensordict: TensorDictBase | None, **_: object) -> TensorDictBase:
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -139,7 +139,7 @@ class HandEnv(EnvBase):
         # A given placement consumes its turn too: the k-th episode has one address, however begun.
         self._episodes[copies] += 1
         self._elapsed[copies] = 0
-        self._open[copies] = 0
+        self._success_streak[copies] = 0
         observation = self.simulator.observation()
         judged = self.simulator.judged(observation)
         # A copy may be placed out of reach on request: its episode still has a first step.
@@ -194,7 +194,9 @@ class HandEnv(EnvBase):
         observation = self.simulator.step(action, active)
         judged = self.simulator.judged(observation)
         self._elapsed += active
-        self._open = np.where(active, (self._open + 1) * judged.success, self._open)
+        self._success_streak = np.where(
+            active, (self._success_streak + 1) * judged.success, self._success_streak
+        )
         paid = judged.success.astype(np.float32) - 1 if self.sparse else judged.reward
         reward = np.where(active, paid, np.float32(0))
         return self._tensordict(
@@ -216,7 +218,7 @@ class HandEnv(EnvBase):
     def _flags(self, judged: Judged) -> dict[str, NDArray[np.generic]]:
         truncated = self._elapsed >= self.horizon
         if self.success_steps is not None:
-            truncated |= self._open >= self.success_steps
+            truncated |= self._success_streak >= self.success_steps
         return {
             "terminated": judged.terminated,
             "truncated": truncated,
@@ -236,7 +238,7 @@ class HandEnv(EnvBase):
             "seed": np.asarray(self._seed, dtype=np.int64),
             "episodes": self._episodes.copy(),
             "elapsed": self._elapsed.copy(),
-            "open": self._open.copy(),
+            "success_streak": self._success_streak.copy(),
         }
         return {key: torch.from_numpy(np.asarray(value)) for key, value in arrays.items()}
 
@@ -252,14 +254,15 @@ class HandEnv(EnvBase):
         if arrays["episodes"].shape != (self.num_copies,):
             raise ValueError(
                 f"this state holds {len(arrays['episodes'])} {called}, the environment has "
-                f"{self.num_copies}: build it with num_{called}={len(arrays['episodes'])}"
+                f"{self.num_copies}: build it with num_envs={len(arrays['episodes'])}"
             )
         self.simulator.set_state(arrays)
         self._seed = int(arrays["seed"])
         self._episodes = arrays["episodes"].copy()
         self._elapsed = arrays["elapsed"].copy()
-        # Not in states from before there was `open_steps`.
-        self._open = arrays.get("open", np.zeros_like(self._elapsed)).copy()
+        # States of before call it "open" or, of before there was `success_steps`, do not have it.
+        found = arrays.get("success_streak", arrays.get("open"))
+        self._success_streak = np.zeros_like(self._elapsed) if found is None else found.copy()
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """Stop the simulator's threads."""

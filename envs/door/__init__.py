@@ -1,6 +1,7 @@
 """The paper's `door` task: an Adroit hand turns a latch and opens a door.
 
-`task` says what the task *is* (observation layout, reward, termination) as pure functions;
-`scene` and `simulator` make MuJoCo play it; `torchrl_env` and `gymnasium_env` show it to learners;
-`metrics` summarises episodes as Tables I and II of the paper do; `render` takes pictures.
+`task` says what the task *is* (observation layout, reward, termination) as pure functions; `hand`
+makes MuJoCo play it; `definition` names everything that the project may ask of it; `gymnasium_env`
+shows it to tools that speak gymnasium; `metrics` summarises episodes as Tables I and II of the
+paper do. What every task of the hand needs, its batched environment above all, is in `envs.adroit`.
 """

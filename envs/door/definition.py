@@ -6,51 +6,26 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Final
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from envs.adroit.render import View
-from envs.adroit.room import REWARDS, Pictures
+from envs.adroit.room import REWARDS, MakeEnv, Pictures, Starts
 from envs.adroit.scene import STEPS_PER_SECOND
 from envs.adroit.states import States
 from envs.door import metrics, task
 from envs.door.contacts import CONTACTS
 from envs.door.defaults import DEFAULTS
-from envs.door.demos import DOOR_POSITION, SCHEMA
+from envs.door.demos import SCHEMA
 from envs.door.disturbing import DISTURB
+from envs.door.hand import DOOR
 from envs.door.paper import PAPER
-from envs.door.resimulation import resimulate
-from envs.door.simulator import DOOR
-from envs.door.starts import door_position
-from envs.door.torchrl_env import DoorEnv
+from envs.door.resimulation import RESIMULATE
 from envs.door.variation import VARY
 from envs.motion import Motion
-from envs.options import EnvOptions
-from envs.rewards import SPARSE
 from envs.task import Stage, Task
-
-
-def make_env(options: EnvOptions) -> DoorEnv:
-    """N doors on all cores."""
-    return DoorEnv(
-        options.num_envs,
-        horizon=options.horizon,
-        success_steps=options.success_steps,
-        sparse=options.reward == SPARSE,
-        contacts=options.contacts,
-        num_threads=options.num_threads,
-        seed=options.seed,
-        device=options.device,
-    )
-
-
-def starts(seed: int, first: int, count: int) -> TensorDict:
-    """Door frame positions [count, 3] (m) of the list with this seed."""
-    positions = np.stack([door_position(seed, first + i, 0) for i in range(count)])
-    return TensorDict({DOOR_POSITION: torch.as_tensor(positions)}, [count])
 
 
 def _reached(after: TensorDictBase) -> Tensor:
@@ -81,7 +56,6 @@ def summary(
         raise ValueError("a door's progress is its hinge angle, which the rollouts do not hold")
     found = metrics.summarise(
         progress,
-        returns,
         lengths,
         reached=stages[REACHED.label],
         latch_turned=stages[LATCH_TURNED.label],
@@ -101,11 +75,11 @@ MOTION: Final = Motion(
 
 TASK: Final = Task(
     name="door",
-    make_env=make_env,
+    make_env=MakeEnv(DOOR),
     stages=(REACHED, LATCH_TURNED, *(_beyond(angle) for angle in task.OPEN_THRESHOLDS)),
-    starts=starts,
+    starts=Starts(DOOR),
     demos=SCHEMA,
-    resimulate=resimulate,
+    resimulate=RESIMULATE,
     states=States(DOOR),
     vary=VARY,
     render=Pictures(VIEW).render(),

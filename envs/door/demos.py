@@ -5,17 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from envs.adroit.resimulation import QPOS, QVEL
 from envs.demonstrations.schema import DemoSchema, Floats, StartKey
 from envs.door import task
+from envs.door.hand import DOOR_POSITION
 
-DOOR_POSITION: Final = "door_position"
-"""Where the door frame stands, [3], m."""
-QPOS: Final = "qpos"
-"""Joint positions of hand (28), hinge and latch before the first action, [30], rad (slide: m)."""
-QVEL: Final = "qvel"
-"""Their velocities."""
-
-STATE_SIZE: Final = 30
 SAME_DOOR_M: Final = 0.03
 """Between two observations of one episode the door and its handle move by millimetres; between two
 demonstrations they differ by centimetres, because the door stands elsewhere."""
@@ -42,8 +36,8 @@ SCHEMA: Final = DemoSchema(
     action_bound=3.0,
     start=(
         StartKey(DOOR_POSITION, 3, ("door_body_pos",), axes=("x", "y", "z"), unit="m"),
-        StartKey(QPOS, STATE_SIZE, ("initial_qpos",)),
-        StartKey(QVEL, STATE_SIZE, ("initial_qvel",)),
+        StartKey(QPOS, task.STATE_SIZE, ("initial_qpos",)),
+        StartKey(QVEL, task.STATE_SIZE, ("initial_qvel",)),
     ),
     reward=task.reward,
     # The published rewards hold a velocity penalty that no observation shows; it stays below this.

@@ -8,8 +8,7 @@ from typing import Final
 
 from envs.adroit.disturbing import damping, friction, hand_disturb, mass
 from envs.disturbing import Box, Disturb, Factor
-from envs.door.demos import DOOR_POSITION
-from envs.door.simulator import DOOR
+from envs.door.hand import DOOR, DOOR_POSITION
 from envs.door.task import DOOR_POSITION_HIGH, DOOR_POSITION_LOW
 
 FRAME: Final = Box(

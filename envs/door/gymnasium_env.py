@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.adroit.render import HandRenderer
+from envs.adroit.simulator import HandSimulator
 from envs.door import task
-from envs.door.simulator import DoorSimulator
-from envs.door.starts import sample_door_position
+from envs.door.hand import DOOR, DOOR_POSITION
 
 GYMNASIUM_ID = "AdroitDoor-v0"
 
@@ -52,7 +52,7 @@ class AdroitDoorEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         )
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (task.ACTION_SIZE,), np.float32)
         self._picture = (width, height, camera_name)
-        self._simulator = DoorSimulator(1)
+        self._simulator = HandSimulator(DOOR)
         # Made on the first picture: a training run without pictures needs no OpenGL.
         self._renderer: HandRenderer | None = None
 
@@ -73,12 +73,13 @@ class AdroitDoorEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         super().reset(seed=seed)
         options = dict(options or {})
-        position = options.pop("door_position", None)
+        position = options.pop(DOOR_POSITION, None)
         if options:
-            raise ValueError(f"unknown reset options {sorted(options)}; known: ['door_position']")
+            raise ValueError(f"unknown reset options {sorted(options)}; known: ['{DOOR_POSITION}']")
         if position is None:
-            position = sample_door_position(self.np_random)
-        observation = self._simulator.reset(np.asarray(position, dtype=np.float64)[None])[0]
+            position = DOOR.draw(self.np_random)[DOOR_POSITION]
+        where = {DOOR_POSITION: np.asarray(position, dtype=np.float64)[None]}
+        observation = self._simulator.start(where)[0]
         return observation, self._info(observation)
 
     def step(
@@ -118,5 +119,5 @@ class AdroitDoorEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return {
             "success": bool(task.success(observation)),
             "hinge_angle": float(task.hinge_angle(observation)),
-            "door_position": self._simulator.door_position[0],
+            DOOR_POSITION: self._simulator.placement[DOOR_POSITION][0],
         }

@@ -37,22 +37,13 @@ DAPG_SUCCESS_STEPS: Final = 25
 
 @dataclass(frozen=True)
 class DoorMetrics:
-    """Summary of E episodes. Shares are in 0..1; ``*_ci95`` are their Wilson intervals.
+    """What E episodes are of a door besides `pipeline.act.metrics.EpisodeMetrics`.
 
-    The paper's tables: return; mean maximum hinge angle with ("angle_mean_deg") and without
-    failures ("angle_mean_deg_opened"); shares of episodes whose maximum hinge angle is above 0
-    (see `ZERO_TOLERANCE_RAD`), 0.2, 1.0 and 1.35 rad. The three kinds of success are what other
-    papers report, side by side.
+    Shares are in 0..1; ``*_ci95`` are their Wilson intervals. The paper's tables: mean maximum
+    hinge angle with ("angle_mean_deg") and without failures ("angle_mean_deg_opened"); shares of
+    episodes whose maximum hinge angle is above 0 (see `ZERO_TOLERANCE_RAD`), 0.2, 1.0 and 1.35 rad.
     """
 
-    episodes: int
-    """Number of episodes E."""
-    return_mean: float
-    """Mean undiscounted return."""
-    return_std: float
-    """Standard deviation of the return over episodes (population; 0 for one episode)."""
-    length_mean: float
-    """Mean episode length, control steps."""
     angle_mean_deg: float
     """Mean over all episodes of the maximum hinge angle, degrees."""
     angle_mean_deg_opened: float | None
@@ -64,12 +55,8 @@ class DoorMetrics:
     share_gt_1_0: float
     share_gt_1_0_ci95: tuple[float, float]
     share_gt_1_35: float
+    """Share of episodes that open: it equals the `success_once` of every task."""
     share_gt_1_35_ci95: tuple[float, float]
-    success_once: float
-    """Share of episodes that were above 1.35 rad at any step (equal to `share_gt_1_35`)."""
-    success_at_end: float
-    """Share of episodes above 1.35 rad at their last step."""
-    success_at_end_ci95: tuple[float, float]
     success_dapg: float
     """Share of episodes above 1.35 rad for more than 25 steps."""
     success_dapg_ci95: tuple[float, float]
@@ -83,7 +70,6 @@ class DoorMetrics:
 
 def summarise(
     hinge_angle: ArrayLike,
-    returns: ArrayLike,
     lengths: ArrayLike,
     *,
     zero_tolerance_rad: float = ZERO_TOLERANCE_RAD,
@@ -95,7 +81,6 @@ def summarise(
     Args:
         hinge_angle: Hinge angle after each step, shape [E, T], rad. Entry t belongs to control
             step t + 1; what lies at or after an episode's length is ignored (NaN is fine there).
-        returns: Undiscounted return of each episode, shape [E].
         lengths: Control steps of each episode, shape [E], each in 1..T.
         zero_tolerance_rad: Hinge angle above which a door counts as opened at all, rad.
         reached: Whether the palm ever came within `REACHED_M` of the handle, bool [E].
@@ -108,24 +93,17 @@ def summarise(
         ValueError: If there is no episode, shapes disagree, a length is out of range, or a number
             within an episode is not finite.
     """
-    angle, total, length = _checked(hinge_angle, returns, lengths)
-    episodes, horizon = angle.shape
-    inside = np.arange(horizon) < length[:, None]
+    angle, length = _checked(hinge_angle, lengths)
+    inside = np.arange(angle.shape[1]) < length[:, None]
     angle = np.where(inside, angle, -np.inf)
     widest = angle.max(axis=1)
     is_open = angle > SUCCESS_ANGLE
     opened = widest > zero_tolerance_rad
     opens = is_open.any(axis=1)
     first_open_step = is_open.argmax(axis=1) + 1
-
-    at_end = np.take_along_axis(is_open, length[:, None] - 1, axis=1)
     long_enough = is_open.sum(axis=1) > DAPG_SUCCESS_STEPS
     above = [widest > threshold for threshold in OPEN_THRESHOLDS]
     return DoorMetrics(
-        episodes=episodes,
-        return_mean=float(total.mean()),
-        return_std=float(total.std()),
-        length_mean=float(length.mean()),
         angle_mean_deg=math.degrees(widest.mean()),
         angle_mean_deg_opened=math.degrees(widest[opened].mean()) if opened.any() else None,
         share_gt_0=float(opened.mean()),
@@ -136,9 +114,6 @@ def summarise(
         share_gt_1_0_ci95=wilson(above[1]),
         share_gt_1_35=float(above[2].mean()),
         share_gt_1_35_ci95=wilson(above[2]),
-        success_once=float(opens.mean()),
-        success_at_end=float(at_end.mean()),
-        success_at_end_ci95=wilson(at_end),
         success_dapg=float(long_enough.mean()),
         success_dapg_ci95=wilson(long_enough),
         steps_to_open_median=float(np.median(first_open_step[opens])) if opens.any() else None,
@@ -150,18 +125,16 @@ def summarise(
 
 
 def _checked(
-    hinge_angle: ArrayLike, returns: ArrayLike, lengths: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    hinge_angle: ArrayLike, lengths: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     angle = np.asarray(hinge_angle, dtype=np.float64)
-    total = np.asarray(returns, dtype=np.float64)
     length = np.asarray(lengths, dtype=np.int64)
     if angle.ndim != 2 or angle.size == 0:
         raise ValueError(f"hinge_angle must be [episodes, steps], not empty; got {angle.shape}")
     episodes, horizon = angle.shape
-    if total.shape != (episodes,) or length.shape != (episodes,):
+    if length.shape != (episodes,):
         raise ValueError(
-            f"{episodes} episodes need returns and lengths of shape ({episodes},), "
-            f"got {total.shape} and {length.shape}"
+            f"{episodes} episodes need lengths of shape ({episodes},), got {length.shape}"
         )
     if length.min() < 1 or length.max() > horizon:
         raise ValueError(
@@ -169,6 +142,6 @@ def _checked(
             f"got {length.min()}..{length.max()}"
         )
     inside = np.arange(horizon) < length[:, None]
-    if not (np.isfinite(angle[inside]).all() and np.isfinite(total).all()):
-        raise ValueError("hinge_angle or returns hold NaN or infinite numbers within an episode")
-    return angle, total, length
+    if not np.isfinite(angle[inside]).all():
+        raise ValueError("hinge_angle holds NaN or infinite numbers within an episode")
+    return angle, length

@@ -19,6 +19,8 @@ OBSERVATION_SIZE: Final = 38
 """Entries of one observation (float32)."""
 ACTION_SIZE: Final = 28
 """Entries of one action, each in [-1, 1]: normalised joint position targets."""
+STATE_SIZE: Final = 30
+"""Joints: arm (4), hand (24), hinge, latch."""
 HORIZON: Final = 200
 """Control steps after which an episode is truncated (2 s at 100 Hz)."""
 
@@ -76,11 +78,6 @@ def hinge_angle(observation: Floats) -> Floats:
         ValueError: If the last dimension is too short. The same holds for every function here.
     """
     return _checked(observation)[..., HINGE]
-
-
-def latch_angle(observation: Floats) -> Floats:
-    """Latch angle in rad, shape ``[...]``, from observations ``[..., >=38]``."""
-    return _checked(observation)[..., LATCH]
 
 
 def palm_handle_distance(observation: Floats) -> Floats:

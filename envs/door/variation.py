@@ -13,8 +13,8 @@ from envs.adroit.multiplication import HandVariation
 from envs.adroit.varying import Guided, Varying, first
 from envs.demonstrations.episode import Episode
 from envs.door import task
-from envs.door.demos import DOOR_POSITION, SCHEMA
-from envs.door.simulator import DOOR
+from envs.door.demos import SCHEMA
+from envs.door.hand import DOOR, DOOR_POSITION
 
 GUIDE: Final = ArmGuide(
     arm=slice(0, 4),  # the forearm's slide, then its three rotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from envs.adroit.judging import never
 from envs.adroit.resimulation import QPOS, QVEL
 from envs.demonstrations.schema import DemoSchema, StartKey
 from envs.hammer import task
@@ -23,7 +24,7 @@ SCHEMA: Final = DemoSchema(
     reward=task.observed_reward,
     # The velocity penalty, which no observation shows, and the nail's way in 2 ms.
     reward_tolerance=0.6,
-    terminated=task.never,
+    terminated=never,
     success=task.success,
     progress=task.driven,
     horizon=task.HORIZON,

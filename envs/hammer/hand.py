@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.adroit.hand import HandTask, Judged
+from envs.adroit.judging import never
 from envs.adroit.physics import HandStates
 from envs.adroit.scene import HandScene, Numbers, compile_model, model_path
 from envs.hammer import task
@@ -69,7 +70,7 @@ def _judge(states: HandStates, observation: NDArray[np.float32]) -> Judged:
         ),
         success=to_goal < task.DRIVEN,
         progress=states.qpos[:, task.NAIL],
-        terminated=task.never(observation),
+        terminated=never(observation),
     )
 
 

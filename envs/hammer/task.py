@@ -9,7 +9,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+import scipy  # `spatial` takes a second to load, and scipy does it where it is first used
 from numpy.typing import NDArray
+
+from envs.adroit.judging import norm
 
 OBSERVATION_SIZE: Final = 46
 """Entries of one observation (float32)."""
@@ -49,7 +52,7 @@ LIFTED: Final = 0.04
 """Height above which the hammer counts as lifted."""
 BOARD_HEIGHT: Final = (0.1, 0.25)
 """Range from which the board's height is drawn at reset."""
-#: From the middle of the hammer's handle to its striking face, in the hammer's own axes.
+#: From the middle of the hammer's handle to its striking face, along the hammer's own axes.
 HEAD_OFFSET: Final = (-0.2, 0.0, -0.04)
 
 Floats = NDArray[np.floating]
@@ -81,7 +84,7 @@ def reward(
         to_goal: Distances between the nail's head and its goal, shape ``[...]``.
         speed: Norms of the joint velocities, shape ``[...]``.
     """
-    value = -0.1 * _norm(palm - hammer) - _norm(head - nail) - 10 * to_goal - 0.01 * speed
+    value = -0.1 * norm(palm - hammer) - norm(head - nail) - 10 * to_goal - 0.01 * speed
     lifted = (hammer[..., 2] > LIFTED) & (head[..., 2] > LIFTED)
     value = value + 2 * lifted + 25 * (to_goal < CLOSE) + 75 * (to_goal < DRIVEN)
     return value.astype(np.float32)
@@ -97,8 +100,8 @@ def observed_reward(next_observation: Floats) -> NDArray[np.float32]:
     """
     seen = np.asarray(next_observation, dtype=np.float64)
     hammer, nail = seen[..., HAMMER], seen[..., NAIL_HEAD]
-    offset = rotation(seen[..., HAMMER_ANGLES]) @ np.asarray(HEAD_OFFSET)
-    return reward(seen[..., PALM], hammer, hammer + offset, nail, goal_distance(seen))
+    head = hammer + head_offset(seen[..., HAMMER_ANGLES])
+    return reward(seen[..., PALM], hammer, head, nail, goal_distance(seen))
 
 
 def goal_distance(observation: Floats) -> NDArray[np.float64]:
@@ -116,16 +119,12 @@ def driven(observation: Floats) -> Floats:
     return np.asarray(observation)[..., NAIL]
 
 
-def never(observation: Floats) -> NDArray[np.bool_]:
-    """No observation ends an episode: False, shape ``[...]``. Its time limit truncates it."""
-    return np.zeros(np.shape(observation)[:-1], dtype=bool)
-
-
 def euler_angles(quaternion: Floats) -> NDArray[np.float64]:
     """Euler angles ``[..., 3]`` of unit quaternions ``[..., 4]`` (w, x, y, z).
 
     The convention of DAPG's observations (mujoco-py's and gymnasium-robotics' ``quat2euler``), in
-    which a rotation is that about x, then y, then z, each about axes that turn along.
+    which a rotation is that about x, then y, then z, each about axes that turn along. SciPy's "XYZ"
+    is the same but where the hammer points straight up or down: there it keeps the first angle.
     """
     w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=np.float64), -1, 0)
     scale = 2.0 / (w * w + x * x + y * y + z * z)
@@ -144,16 +143,11 @@ def euler_angles(quaternion: Floats) -> NDArray[np.float64]:
     return np.stack([np.where(fixed, 0.0, -np.arctan2(across, along)), pitch, yaw], -1)
 
 
-def rotation(angles: Floats) -> NDArray[np.float64]:
-    """Rotation matrices ``[..., 3, 3]`` of the Euler angles ``[..., 3]`` of `euler_angles`."""
-    (a, b, c), (i, j, k) = np.moveaxis(np.cos(angles), -1, 0), np.moveaxis(np.sin(angles), -1, 0)
-    rows = [
-        [b * c, -b * k, j],
-        [a * k + i * j * c, a * c - i * j * k, -i * b],
-        [i * k - a * j * c, i * c + a * j * k, a * b],
-    ]
-    return np.stack([np.stack(row, -1) for row in rows], -2)
+def head_offset(angles: Floats) -> NDArray[np.float64]:
+    """From the middle of the hammer's handle to its striking face, in the world, ``[..., 3]``.
 
-
-def _norm(vector: Floats) -> Floats:
-    return np.linalg.norm(vector, axis=-1)
+    Args:
+        angles: The hammer's, as `euler_angles` gives them, ``[..., 3]``.
+    """
+    turned = scipy.spatial.transform.Rotation.from_euler("XYZ", np.reshape(angles, (-1, 3)))
+    return turned.apply(HEAD_OFFSET).reshape(np.shape(angles))

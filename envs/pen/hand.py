@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.adroit.hand import HandTask, Judged
+from envs.adroit.judging import never
 from envs.adroit.physics import HandStates
 from envs.adroit.scene import HandScene, Numbers, compile_model, model_path
 from envs.pen import task
@@ -58,7 +59,7 @@ def _judge(_: HandStates, observation: NDArray[np.float32]) -> Judged:
         reward=task.reward(observation),
         success=task.success(observation),
         progress=task.alignment(observation),
-        terminated=task.never(observation),
+        terminated=never(observation),
     )
 
 

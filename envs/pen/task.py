@@ -11,6 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from envs.adroit.judging import norm
+
 OBSERVATION_SIZE: Final = 45
 """Entries of one observation (float32)."""
 ACTION_SIZE: Final = 24
@@ -81,10 +83,5 @@ def reward(next_observation: Floats) -> NDArray[np.float32]:
     return (value - 5 * (height < DROPPED)).astype(np.float32)
 
 
-def never(observation: Floats) -> NDArray[np.bool_]:
-    """No observation ends an episode: False, shape ``[...]``. Its time limit truncates it."""
-    return np.zeros(np.shape(observation)[:-1], dtype=bool)
-
-
 def _off_centre(observation: Floats) -> NDArray[np.float64]:
-    return np.linalg.norm(np.asarray(observation, dtype=np.float64)[..., OFF_CENTRE], axis=-1)
+    return norm(np.asarray(observation, dtype=np.float64)[..., OFF_CENTRE])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from envs.adroit.judging import never
 from envs.adroit.resimulation import QPOS, QVEL
 from envs.demonstrations.schema import DemoSchema, StartKey
 from envs.relocate import task
@@ -23,7 +24,7 @@ SCHEMA: Final = DemoSchema(
     ),
     reward=observed_reward,
     reward_tolerance=1e-4,
-    terminated=task.never,
+    terminated=never,
     success=task.success,
     progress=task.nearness,
     horizon=task.HORIZON,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.adroit.hand import HandTask, Judged
+from envs.adroit.judging import never
 from envs.adroit.physics import HandStates
 from envs.adroit.scene import HandScene, Numbers, compile_model, model_path
 from envs.relocate import task
@@ -55,7 +56,7 @@ def _judge(states: HandStates, observation: NDArray[np.float32]) -> Judged:
         reward=task.reward(observation, states.read["ball"][:, 2]),
         success=task.success(observation),
         progress=task.nearness(observation),
-        terminated=task.never(observation),
+        terminated=never(observation),
     )
 
 

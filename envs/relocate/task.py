@@ -11,6 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from envs.adroit.judging import norm
+
 OBSERVATION_SIZE: Final = 39
 """Entries of one observation (float32)."""
 ACTION_SIZE: Final = 30
@@ -68,26 +70,17 @@ def reward(observation: Floats, ball_height: Floats) -> NDArray[np.float32]:
         ball_height: Heights of the ball, shape ``[...]``, which no observation shows.
     """
     seen = np.asarray(observation, dtype=np.float64)
-    to_target = _norm(seen[..., TARGET_TO_BALL])
-    carried = 1 - 0.5 * _norm(seen[..., TARGET_TO_PALM]) - 0.5 * to_target
-    value = -0.1 * _norm(seen[..., BALL_TO_PALM]) + (ball_height > LIFTED) * carried
+    to_target = norm(seen[..., TARGET_TO_BALL])
+    carried = 1 - 0.5 * norm(seen[..., TARGET_TO_PALM]) - 0.5 * to_target
+    value = -0.1 * norm(seen[..., BALL_TO_PALM]) + (ball_height > LIFTED) * carried
     return (value + 10 * (to_target < CLOSE) + 20 * (to_target < VERY_CLOSE)).astype(np.float32)
 
 
 def success(observation: Floats) -> NDArray[np.bool_]:
     """Whether the ball is within 0.1 of its target, bool of shape ``[...]``, from [..., 39]."""
-    return _norm(np.asarray(observation, dtype=np.float64)[..., TARGET_TO_BALL]) < CLOSE
+    return norm(np.asarray(observation, dtype=np.float64)[..., TARGET_TO_BALL]) < CLOSE
 
 
 def nearness(observation: Floats) -> NDArray[np.float64]:
     """Progress: minus the ball's distance from its target, shape ``[...]``, from [..., 39]."""
-    return -_norm(np.asarray(observation, dtype=np.float64)[..., TARGET_TO_BALL])
-
-
-def never(observation: Floats) -> NDArray[np.bool_]:
-    """No observation ends an episode: False, shape ``[...]``. Its time limit truncates it."""
-    return np.zeros(np.shape(observation)[:-1], dtype=bool)
-
-
-def _norm(vector: Floats) -> NDArray[np.float64]:
-    return np.linalg.norm(vector, axis=-1)
+    return -norm(np.asarray(observation, dtype=np.float64)[..., TARGET_TO_BALL])

@@ -17,7 +17,8 @@ from envs.demonstrations import (
 )
 from envs.door import task
 from envs.door.definition import TASK
-from envs.door.demos import DOOR_POSITION, SCHEMA
+from envs.door.demos import SCHEMA
+from envs.door.hand import DOOR_POSITION
 
 DOOR = np.array([-0.25, 0.3, 0.3])
 

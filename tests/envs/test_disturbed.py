@@ -148,13 +148,14 @@ def test_half_is_drawn_as_often_as_double():
 def test_places_beyond_the_box_and_those_that_are_given():
     env = door(60, outside={"door_x": (-0.05, 0.05)})
     env.reset()
-    x = env.env.simulator.door_position[:, 0]
+    x = env.env.simulator.placement["door_position"][:, 0]
     assert x.min() < -0.3  # the box is -0.3 to -0.2 m
     assert x.max() > -0.2
     assert ((x >= -0.35) & (x <= -0.15)).all()
     asked = find_task("door").starts(5, 0, 60)
     env.reset(asked.clone())
-    np.testing.assert_array_equal(env.env.simulator.door_position, asked["door_position"].numpy())
+    stand = env.env.simulator.placement["door_position"]
+    np.testing.assert_array_equal(stand, asked["door_position"].numpy())
 
 
 def test_the_seed_and_the_number_of_an_episode_say_what_it_is():

@@ -7,7 +7,9 @@ import torch
 from gymnasium import spaces
 from torchrl.envs import check_env_specs
 
-from envs.door.torchrl_env import DoorEnv
+from envs.adroit.simulator import HandSimulator
+from envs.adroit.torchrl_env import HandEnv
+from envs.door.hand import DOOR
 from envs.registry import UnknownTaskError
 from tests.envs.making import make_env
 
@@ -89,13 +91,14 @@ def test_actions_are_rescaled_to_the_task_s_own_bounds():
 
 def test_the_door_gets_its_options():
     env = make_env("door", num_envs=2, seed=5, num_threads=1, horizon=7, success_steps=4)
-    assert isinstance(env, DoorEnv)
-    assert (env.horizon, env.simulator.num_threads, env.num_doors) == (7, 1, 2)
+    assert isinstance(env, HandEnv)
+    assert (env.horizon, env.simulator.num_threads, env.num_copies) == (7, 1, 2)
     assert env.success_steps == 4
     env.reset()
-    other = DoorEnv(2, seed=5)
+    other = HandEnv(HandSimulator(DOOR, 2), seed=5)
     other.reset()
-    assert torch.equal(env.door_position, other.door_position)
+    stand, others = (one.simulator.placement["door_position"] for one in (env, other))
+    assert stand.tolist() == others.tolist()
 
 
 @pytest.mark.parametrize(

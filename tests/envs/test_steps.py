@@ -8,7 +8,7 @@ import pytest
 from envs.adroit.simulator import HandSimulator
 from envs.demonstrations import MultiplyConfig
 from envs.demonstrations.multiplication import multiply, multiply_cached
-from envs.door.resimulation import resimulate
+from envs.door.resimulation import RESIMULATE
 from envs.door.variation import VARY
 from envs.steps import count_steps, counted_steps
 from tests.demonstrations.helpers import still_episode
@@ -55,7 +55,7 @@ def advanced(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 def test_what_is_counted_is_what_the_simulator_did(advanced: list[int], tmp_path):
     with counted_steps() as replayed:
-        sources = resimulate([still_episode(i, steps=5 + i) for i in range(2)], num_threads=1)
+        sources = RESIMULATE([still_episode(i, steps=5 + i) for i in range(2)], num_threads=1)
     assert replayed.taken == sum(advanced) > 0
     advanced.clear()
     with counted_steps() as multiplied:
@@ -64,7 +64,7 @@ def test_what_is_counted_is_what_the_simulator_did(advanced: list[int], tmp_path
 
 
 def test_what_a_cache_holds_counts_as_when_it_was_made(advanced: list[int], tmp_path):
-    sources = resimulate([still_episode(0, steps=5)], num_threads=1)
+    sources = RESIMULATE([still_episode(0, steps=5)], num_threads=1)
     taken = []
     for _ in range(2):
         with counted_steps() as steps:

@@ -29,7 +29,7 @@ from tabulate import tabulate
 from envs.demonstrations import DemonstrationError, MultiplyConfig, content_hash
 from envs.demonstrations.multiplication import multiply_cached
 from envs.door.definition import TASK
-from envs.door.resimulation import resimulate
+from envs.door.resimulation import RESIMULATE
 from envs.door.variation import VARY
 from pipeline.commands.evaluate_run import evaluate_run
 from pipeline.files.checkpoint import latest_checkpoint, load_component, trained_frames
@@ -131,7 +131,7 @@ def targets(folder: Path) -> Iterator[Target]:
     save_recipe(exported, recipe)
     save_weights(load_policy(recipe, TASK, run_dir)[0], exported / WEIGHTS, frames=FRAMES[-1])
     yield Target("exported policy", tuple((p,) for p in files(exported)), lambda: weights(exported))
-    sources = resimulate([still_episode(i, steps=9) for i in range(3)], num_threads=1)
+    sources = RESIMULATE([still_episode(i, steps=9) for i in range(3)], num_threads=1)
     config = MultiplyConfig(min_progress=-1.0, horizon=6, round_size=8, target_episodes=12)
     cache = folder / "multiplied"
 

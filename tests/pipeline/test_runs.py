@@ -78,7 +78,7 @@ def test_sac_runs_on_other_tasks_without_a_change(env: str, tmp_path: Path, demo
 def test_training_doors_get_their_options(tmp_path: Path, demos: Path):
     config = tiny_config("sac", tmp_path, demos, "env.success_steps=7", "env.num_envs=3")
     env = make_training_env(config, TASK)
-    assert (env.success_steps, env.horizon, env.num_doors) == (7, config.env.horizon, 3)
+    assert (env.success_steps, env.horizon, env.num_copies) == (7, config.env.horizon, 3)
     env.close()
 
 

@@ -11,10 +11,11 @@ import torch
 from tensordict import TensorDict
 
 from configs import compose
+from envs.adroit.simulator import HandSimulator
+from envs.adroit.starts import placement_of
 from envs.demonstrations import Episode, Provenance, write_recording
 from envs.door import task
-from envs.door.simulator import DoorSimulator
-from envs.door.starts import door_position
+from envs.door.hand import DOOR, DOOR_POSITION
 from losses import BCSACLoss
 from pipeline.build import build_run
 from pipeline.learn.critics import BatchedCritics
@@ -66,9 +67,9 @@ def built(recipe: Recipe, **options: Any) -> Run:
 def write_demos(path: Path, episodes: int = 2, steps: int = 12) -> Path:
     """A recording of short episodes of gentle random actions, as the simulator played them."""
     rng = np.random.default_rng(0)
-    doors = np.array([door_position(1, i, 0) for i in range(episodes)])
-    simulator = DoorSimulator(episodes, num_threads=1)
-    simulator.reset(doors)
+    doors = np.array([placement_of(DOOR, 1, i, 0)[DOOR_POSITION] for i in range(episodes)])
+    simulator = HandSimulator(DOOR, episodes, num_threads=1)
+    simulator.start({DOOR_POSITION: doors})
     observations = [simulator.observation().copy()]
     actions = rng.uniform(-0.3, 0.3, size=(steps, episodes, task.ACTION_SIZE)).astype(np.float32)
     observations += [simulator.step(action).copy() for action in actions]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from envs.adroit.hand import HandTask
 from envs.adroit.simulator import HandSimulator
-from envs.door.simulator import DOOR
+from envs.door.hand import DOOR
 from envs.hammer.hand import HAMMER
 from envs.pen.hand import PEN
 from envs.relocate.hand import RELOCATE
@@ -56,6 +56,30 @@ STOCK = {
 }
 
 Arrays = dict[str, NDArray]
+
+
+@dataclass(frozen=True)
+class Accomplished:
+    """What a task that is accomplished looks like."""
+
+    stage: str
+    """Label of the stage that says so."""
+    put: Callable[[NDArray, Arrays], object]
+    """Writes it into the joint positions [nq] and the placement [1, k] of a start."""
+
+
+ACCOMPLISHED = {
+    "door": Accomplished("> 1.35 rad", lambda qpos, _: qpos.put(28, 1.5)),
+    "hammer": Accomplished("nail in", lambda qpos, _: qpos.put(26, 0.09)),
+    "pen": Accomplished(
+        "> 0.95 aligned",
+        lambda _, where: where.update(asked_orientation=np.array([[0.70711, 0.0, 0.70711, 0.0]])),
+    ),
+    "relocate": Accomplished(
+        "< 0.1 m",
+        lambda _, where: where.update(target_position=where["ball_position"] + [0.0, 0.0, 0.03]),
+    ),
+}
 
 
 @pytest.fixture

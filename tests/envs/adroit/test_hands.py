@@ -16,7 +16,7 @@ from envs.demonstrations import DemonstrationError
 from envs.demonstrations.episode import Episode, Provenance
 from envs.demonstrations.loading import DemoOptions, load_demonstrations
 from envs.rewards import rewarded
-from tests.envs.adroit.conftest import HANDS, OTHERS, STOCK, held_actions
+from tests.envs.adroit.conftest import ACCOMPLISHED, HANDS, OTHERS, STOCK, held_actions
 
 STEPS = 60
 
@@ -96,35 +96,23 @@ def test_a_sparse_reward_is_success_minus_one(task):
     assert not torch.equal(sparse["next", "reward"], dense["next", "reward"])
 
 
-def accomplished(task: str, env: EnvBase) -> None:
-    """Puts copy 1 where the task is accomplished."""
-    qpos, placement = env.simulator.qpos[[1]], env.simulator.placement
-    where = {name: values[[1]] for name, values in placement.items()}
-    if task == "door":
-        qpos[:, 28] = 1.5
-    elif task == "hammer":
-        qpos[:, 26] = 0.09
-    elif task == "pen":
-        where["asked_orientation"] = np.array([[0.70711, 0.0, 0.70711, 0.0]])
-    else:
-        where["target_position"] = where["ball_position"] + [[0.0, 0.0, 0.03]]
-    env.simulator.start(where, [1], qpos)
-
-
 @pytest.mark.parametrize("task", sorted(HANDS))
 def test_success_pays_ends_and_is_a_stage(task):
     found, env = find_task(task), make(task, reward="sparse", success_steps=2)
     td = env.reset().set("action", torch.zeros(2, HANDS[task].action_size))
-    accomplished(task, env)
+    qpos = env.simulator.qpos[[1]]
+    where = {name: values[[1]] for name, values in env.simulator.placement.items()}
+    ACCOMPLISHED[task].put(qpos[0], where)
+    env.simulator.start(where, [1], qpos)
     first = env.step(td.clone())["next"]
     second = env.step(td.clone())["next"]
     assert first["success"].tolist() == [[False], [True]]
     assert first["reward"].tolist() == [[-1.0], [0.0]]
     assert second["truncated"].tolist() == [[False], [True]]
     before, then = make(task).reset(), first[1:]
-    last = found.stages[-1] if task != "relocate" else found.stages[1]
-    assert last.reached(then).tolist() == [True]
-    assert not last.reached(before).any()
+    (stage,) = (one for one in found.stages if one.label == ACCOMPLISHED[task].stage)
+    assert stage.reached(then).tolist() == [True]
+    assert not stage.reached(before).any()
 
 
 def test_a_task_without_a_sparse_reward_says_so():

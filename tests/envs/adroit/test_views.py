@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from envs.adroit.simulator import HandSimulator
 from envs.door.definition import VIEW as DOOR_VIEW
-from envs.door.simulator import DOOR
-from envs.door.starts import sample_door_position
+from envs.door.hand import DOOR
 from envs.hammer import task as hammer
 from envs.hammer.definition import VIEW as HAMMER_VIEW
 from envs.hammer.hand import HAMMER
@@ -43,7 +42,7 @@ def in_picture(view, points: NDArray, fovy: float) -> NDArray:
 
 def doors() -> Iterator[tuple[dict, NDArray | None]]:
     """Closed and open, at the corners of where doors stand."""
-    drawn = np.stack([sample_door_position(np.random.default_rng(i)) for i in range(200)])
+    drawn = np.stack([DOOR.draw(np.random.default_rng(i))["door_position"] for i in range(200)])
     low, high = drawn.min(0), drawn.max(0)
     for corner in itertools.product(*zip(low, high, strict=True)):
         for angle in (0.0, 1.57):

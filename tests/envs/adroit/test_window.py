@@ -77,7 +77,7 @@ def test_the_window_shows_the_first_copy_until_it_is_closed(viewers: list[Viewer
             env.step(env.rand_action(env.reset()))
             assert shown.show()
             np.testing.assert_array_equal(viewer.data.qpos, env.simulator.qpos[0])
-            handle = env.simulator.scene.handle_site
+            handle = env.simulator.scene.model.site("S_handle").id
             np.testing.assert_allclose(
                 viewer.data.site_xpos[handle], env.simulator._states.read["handle"][0], atol=1e-9
             )

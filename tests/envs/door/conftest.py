@@ -8,8 +8,10 @@ from dm_control import mujoco
 from hypothesis import settings
 from numpy.typing import ArrayLike, NDArray
 
-from envs.door.scene import model_path
-from envs.door.simulator import DoorSimulator
+from envs.adroit.scene import model_path
+from envs.adroit.simulator import HandSimulator
+from envs.adroit.starts import placement_of
+from envs.door.hand import DOOR, DOOR_POSITION
 
 PROPERTY = settings(max_examples=50)
 """Of the property tests here: failures must repeat, and machines may be busy."""
@@ -24,7 +26,7 @@ class ReferenceDoor:
     """One door on dm_control's `Physics`, everything by name: what RoboHive does."""
 
     def __init__(self) -> None:
-        self.physics = mujoco.Physics.from_xml_path(str(model_path()))
+        self.physics = mujoco.Physics.from_xml_path(str(model_path("adroit_door.xml")))
         for names, stiffness in ((WRIST, 10.0), (FINGERS, 1.0)):
             for name in names:
                 self.physics.named.model.actuator_gainprm[f"A_{name}", :3] = [stiffness, 0, 0]
@@ -53,6 +55,11 @@ class ReferenceDoor:
         return np.concatenate([*(angle[name] for name in joints), palm, handle, palm - handle])
 
 
+def door_position(seed: int, door: int, episode: int) -> NDArray[np.float64]:
+    """Where the door stands in an episode of one of several, [3], m."""
+    return placement_of(DOOR, seed, door, episode)[DOOR_POSITION]
+
+
 @pytest.fixture
 def reference_door() -> ReferenceDoor:
     return ReferenceDoor()
@@ -64,9 +71,9 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture(scope="module")
-def one_door() -> DoorSimulator:
+def one_door() -> HandSimulator:
     """A simulator to share within a file; each test resets it."""
-    return DoorSimulator(1, num_threads=1)
+    return HandSimulator(DOOR, 1, num_threads=1)
 
 
 @pytest.fixture(autouse=True)

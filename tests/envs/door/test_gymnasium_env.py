@@ -6,9 +6,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import envs
-from envs.door import task
+from envs.adroit.simulator import HandSimulator
+from envs.door import hand, task
 from envs.door.gymnasium_env import AdroitDoorEnv
-from envs.door.simulator import DoorSimulator
 
 DOOR = [-0.25, 0.3, 0.3]
 
@@ -42,8 +42,8 @@ def test_truncates_at_200(env):
 
 def test_equals_the_simulator(env, rng):
     observation, info = env.reset(options={"door_position": DOOR})
-    with DoorSimulator(1) as simulator:
-        np.testing.assert_array_equal(observation, simulator.reset([DOOR])[0])
+    with HandSimulator(hand.DOOR, 1) as simulator:
+        np.testing.assert_array_equal(observation, simulator.start({"door_position": [DOOR]})[0])
         np.testing.assert_array_equal(info["door_position"], DOOR)
         for action in rng.uniform(-1, 1, (20, 28)).astype(np.float32):
             expected = simulator.step(action[None])[0]
@@ -64,7 +64,7 @@ def test_success_is_reported(env):
     env.reset(options={"door_position": DOOR})
     qpos = np.zeros((1, 30))
     qpos[0, 28] = 1.5
-    env.unwrapped._simulator.reset([DOOR], qpos=qpos)
+    env.unwrapped._simulator.start({"door_position": [DOOR]}, qpos=qpos)
     *_, info = env.step(np.zeros(28, np.float32))
     assert info["success"] is True
     assert info["hinge_angle"] == pytest.approx(1.5, abs=0.05)

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
+from envs.adroit.simulator import HandSimulator
+from envs.door.hand import DOOR, DOOR_POSITION
 from envs.door.metrics import DAPG_SUCCESS_STEPS, ZERO_TOLERANCE_RAD, summarise
-from envs.door.simulator import DoorSimulator
-from envs.door.starts import door_position
-from tests.envs.door.conftest import PROPERTY
+from tests.envs.door.conftest import PROPERTY, door_position
 
 
 def episodes_by_hand():
@@ -27,23 +27,17 @@ def episodes_by_hand():
     angle[2, 4:39] = 1.5
     angle[3, 10:20] = 1.4
     angle[3, 20:] = np.nan
-    return angle, [-10.0, 0.0, 30.0, 20.0], [40, 40, 40, 20]
+    return angle, [40, 40, 40, 20]
 
 
 def test_summary_by_hand():
     metrics = summarise(*episodes_by_hand())
-    assert metrics.episodes == 4
-    assert metrics.return_mean == 10.0
-    # deviations -20, -10, 20, 10: sqrt(1000 / 4)
-    assert metrics.return_std == pytest.approx(math.sqrt(250))
-    assert metrics.length_mean == 35
     assert metrics.angle_mean_deg == pytest.approx((0.012 + 0.5 + 1.5 + 1.4) / 4 * 180 / math.pi)
     assert metrics.angle_mean_deg_opened == pytest.approx((0.5 + 1.5 + 1.4) / 3 * 180 / math.pi)
     assert metrics.share_gt_0 == 0.75
     assert metrics.share_gt_0_2 == 0.75
     assert metrics.share_gt_1_0 == 0.5
-    assert metrics.share_gt_1_35 == metrics.success_once == 0.5
-    assert metrics.success_at_end == 0.25
+    assert metrics.share_gt_1_35 == 0.5
     assert metrics.success_dapg == 0.25
     assert metrics.steps_to_open_median == (5 + 11) / 2
 
@@ -62,7 +56,7 @@ def test_the_literal_reading_of_above_zero():
 
 
 def test_nothing_opened():
-    metrics = summarise(np.zeros((2, 3)), [0, 0], [3, 3])
+    metrics = summarise(np.zeros((2, 3)), [3, 3])
     assert metrics.angle_mean_deg_opened is None
     assert metrics.steps_to_open_median is None
     assert metrics.share_gt_0 == 0.0
@@ -73,7 +67,7 @@ def test_dapg_success_needs_more_than_25_steps(steps, expected):
     assert DAPG_SUCCESS_STEPS == 25
     angle = np.zeros((1, 60))
     angle[0, :steps] = 1.4
-    assert summarise(angle, [0], [60]).success_dapg == expected
+    assert summarise(angle, [60]).success_dapg == expected
 
 
 angles = npst.arrays(np.float64, st.tuples(st.integers(1, 6), st.integers(1, 40)),
@@ -85,36 +79,34 @@ angles = npst.arrays(np.float64, st.tuples(st.integers(1, 6), st.integers(1, 40)
 def test_invariants(angle, random):
     episodes, horizon = angle.shape
     lengths = np.array([random.randint(1, horizon) for _ in range(episodes)])
-    metrics = summarise(angle, np.arange(episodes), lengths)
+    metrics = summarise(angle, lengths)
     values = dataclasses.asdict(metrics)
     shares = [values[f"share_gt_{level}"] for level in ("0", "0_2", "1_0", "1_35")]
     assert shares == sorted(shares, reverse=True)
     for key in [name for name in values if name.endswith("_ci95")]:
         low, high = values[key]
         assert -1e-12 <= low <= values[key.removesuffix("_ci95")] <= high <= 1 + 1e-12
-    assert metrics.success_at_end <= metrics.success_once
-    assert metrics.success_dapg <= metrics.success_once
+    assert metrics.success_dapg <= metrics.share_gt_1_35
 
     order = list(range(episodes))
     random.shuffle(order)
-    shuffled = summarise(angle[order], np.array(order), lengths[order])
+    shuffled = summarise(angle[order], lengths[order])
     for name, value in dataclasses.asdict(shuffled).items():
         assert value == pytest.approx(values[name]), name
 
     garbage = np.where(np.arange(horizon) < lengths[:, None], angle, np.nan)
-    assert summarise(garbage, np.arange(episodes), lengths) == metrics
+    assert summarise(garbage, lengths) == metrics
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((np.zeros((0, 3)), [], []), "not empty"),
-        ((np.zeros(3), [1], [3]), "not empty"),
-        ((np.zeros((2, 3)), [1], [3, 3]), r"shape \(2,\)"),
-        ((np.zeros((1, 3)), [1], [4]), r"1\.\.3"),
-        ((np.zeros((1, 3)), [1], [0]), r"1\.\.3"),
-        ((np.full((1, 3), np.nan), [1], [3]), "NaN"),
-        ((np.zeros((1, 3)), [np.inf], [3]), "NaN or infinite"),
+        ((np.zeros((0, 3)), []), "not empty"),
+        ((np.zeros(3), [3]), "not empty"),
+        ((np.zeros((2, 3)), [3]), r"shape \(2,\)"),
+        ((np.zeros((1, 3)), [4]), r"1\.\.3"),
+        ((np.zeros((1, 3)), [0]), r"1\.\.3"),
+        ((np.full((1, 3), np.nan), [3]), "NaN or infinite"),
     ],
 )
 def test_bad_input(arguments, message):
@@ -124,8 +116,8 @@ def test_bad_input(arguments, message):
 
 def test_a_latched_door_stays_below_the_tolerance(rng):
     """Random hands that never turn the latch past 0.5 rad do not count as having opened it."""
-    with DoorSimulator(24) as simulator:
-        simulator.reset([door_position(3, door, 0) for door in range(24)])
+    with HandSimulator(DOOR, 24) as simulator:
+        simulator.start({DOOR_POSITION: [door_position(3, door, 0) for door in range(24)]})
         angles = []
         for step in range(120):
             if step % 20 == 0:
@@ -143,7 +135,7 @@ def test_an_unlatched_door_passes_the_tolerance(one_door):
     """A gentle pull (5 N m) carries a free door past it within a quarter of a second."""
     qpos = np.zeros((1, 30))
     qpos[0, 29] = 1.2
-    one_door.reset([[-0.25, 0.3, 0.3]], qpos=qpos)
+    one_door.start({DOOR_POSITION: [[-0.25, 0.3, 0.3]]}, qpos=qpos)
     pulled = one_door.data(0)
     pulled.joint("door_hinge").qfrc_applied[:] = 5.0
     state = one_door.get_state()

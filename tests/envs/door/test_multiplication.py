@@ -14,6 +14,7 @@ import pytest
 
 from envs.adroit.attempts import Attempt, AttemptFactory
 from envs.adroit.multiplication import play_attempts
+from envs.adroit.simulator import HandSimulator
 from envs.adroit.varying import Varying
 from envs.demonstrations import (
     DemonstrationError,
@@ -28,10 +29,9 @@ from envs.demonstrations import (
 from envs.demonstrations.multiplication import cache_key, multiply_cached
 from envs.demonstrations.selection import ended_at
 from envs.door import task
-from envs.door.definition import TASK as DOOR
-from envs.door.resimulation import resimulate
-from envs.door.scene import build_scene
-from envs.door.simulator import DoorSimulator
+from envs.door.definition import TASK
+from envs.door.hand import DOOR, build_scene
+from envs.door.resimulation import RESIMULATE
 from envs.door.variation import VARY, VARYING
 from envs.steps import counted_steps
 from tests.demonstrations.helpers import door_of, still_episode
@@ -53,7 +53,7 @@ def attempt_of(
 
 @pytest.fixture(scope="module")
 def sources() -> list[Episode]:
-    return resimulate([still_episode(i, steps=9) for i in range(3)], num_threads=1)
+    return RESIMULATE([still_episode(i, steps=9) for i in range(3)], num_threads=1)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_doors_come_from_the_reset_distribution(kept) -> None:
 
 def test_without_noise_the_recorded_actions_are_the_executed_ones(sources) -> None:
     quiet = multiply(sources, config(noise_scale=0.0), VARY)
-    for episode, again in zip(quiet, resimulate(quiet), strict=True):
+    for episode, again in zip(quiet, RESIMULATE(quiet), strict=True):
         # The actions are stored as float32, hence not bit for bit.
         np.testing.assert_allclose(again.observations, episode.observations, atol=1e-4)
         np.testing.assert_array_equal(task.reward(episode.observations[1:]), episode.rewards)
@@ -107,9 +107,9 @@ def test_noise_is_executed_but_the_clean_action_is_recorded(sources) -> None:
     assert np.abs(noisy).max() > 0.05
     quiet = attempt_of(sources, config(noise_scale=0.0))
     np.testing.assert_array_equal(attempt.clean_actions, quiet.clean_actions)
-    with DoorSimulator(1) as simulator:
+    with HandSimulator(DOOR, 1) as simulator:
         (observations,) = play_attempts(simulator, [attempt], config(), VARYING).observations
-        simulator.reset(attempt.placement["door_position"][None])
+        simulator.start({name: at[None] for name, at in attempt.placement.items()})
         expected = [simulator.step(a[None])[0] for a in attempt.executed_actions]
     np.testing.assert_array_equal(observations[1:], np.stack(expected))
 
@@ -122,7 +122,7 @@ def test_what_was_executed_is_kept_beside_what_is_imitated(sources) -> None:
         assert executed.dtype == np.float32
         assert np.abs(executed).max() <= 1
         assert np.abs(executed - episode.actions).max() > 1e-3
-        (again,) = resimulate([episode], num_threads=1)
+        (again,) = RESIMULATE([episode], num_threads=1)
         np.testing.assert_allclose(again.observations, episode.observations, atol=1e-4)
         np.testing.assert_array_equal(again.executed_actions, executed)
 
@@ -156,7 +156,7 @@ def test_attempts_whose_door_stays_closed_are_given_up(sources) -> None:
     # The recorded door moves in step 8, so at double speed in step 4; then patience begins.
     assert attempt.under_way_by == 4 + 30
     stepped: list[int] = []
-    with DoorSimulator(1) as simulator:
+    with HandSimulator(DOOR, 1) as simulator:
         step = simulator.step
         simulator.step = lambda *a, **k: (stepped.append(1), step(*a, **k))[1]
         result = play_attempts(simulator, [attempt], settings, VARYING)
@@ -166,7 +166,7 @@ def test_attempts_whose_door_stays_closed_are_given_up(sources) -> None:
 
 @pytest.fixture(scope="module")
 def openers() -> list[Episode]:
-    return list(load_demonstrations("bundled", DOOR, DemoOptions(limit=4)).episodes)
+    return list(load_demonstrations("bundled", TASK, DemoOptions(limit=4)).episodes)
 
 
 OPENS = {"target_episodes": 3, "round_size": 8, "min_progress": 1.0, "horizon": 200}
@@ -210,7 +210,7 @@ def test_loading_says_how_far_to_play_unless_whole_episodes_are_judged(
     options = DemoOptions(
         limit=2, multiply=MultiplyConfig(hold=hold), keep_best=keep_best, end_progress=1.2
     )
-    load_demonstrations("bundled", DOOR, options)
+    load_demonstrations("bundled", TASK, options)
     assert [settings.end_progress for settings in asked] == [end]
 
 

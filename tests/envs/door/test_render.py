@@ -11,7 +11,8 @@ import pytest
 from envs import pictures
 from envs.adroit import render
 from envs.adroit.render import HandRenderer, RenderingUnavailableError
-from envs.door.simulator import DoorSimulator
+from envs.adroit.simulator import HandSimulator
+from envs.door.hand import DOOR
 
 # The OpenGL library is chosen when mujoco is imported, so pictures need a process of their own.
 PICTURES = """
@@ -103,5 +104,5 @@ def test_osmesa_is_taken_where_egl_does_not_start(monkeypatch, one_door):
 
 
 def test_unknown_camera():
-    with DoorSimulator(1) as simulator, pytest.raises(ValueError, match=r"'top'.*'fixed'"):
+    with HandSimulator(DOOR, 1) as simulator, pytest.raises(ValueError, match=r"'top'.*'fixed'"):
         HandRenderer(simulator, camera="top")

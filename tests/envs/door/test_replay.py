@@ -7,14 +7,15 @@ import pytest
 
 from envs.adroit.replay import Replay
 from envs.adroit.replay import replay as play
+from envs.adroit.simulator import HandSimulator, PhysicsDivergedError
 from envs.demonstrations import DemonstrationError
-from envs.door.demos import DOOR_POSITION
-from envs.door.resimulation import resimulate
-from envs.door.simulator import DoorSimulator, PhysicsDivergedError
+from envs.door import hand
+from envs.door.hand import DOOR_POSITION
+from envs.door.resimulation import RESIMULATE
 from tests.demonstrations.helpers import DOOR, still_episode
 
 
-class Breaking(DoorSimulator):
+class Breaking(HandSimulator):
     """A simulator whose door 1 diverges in its third step, and which refuses to step it again."""
 
     def __init__(self, *args, **kwargs) -> None:
@@ -32,19 +33,19 @@ class Breaking(DoorSimulator):
 
 def test_a_diverged_door_stops_and_the_others_go_on() -> None:
     actions, doors = np.zeros((3, 6, 28)), np.tile(DOOR, (3, 1))
-    with Breaking(3, num_threads=1) as simulator:
+    with Breaking(hand.DOOR, 3, num_threads=1) as simulator:
         result = play(simulator, actions, np.array([6, 6, 4]), {DOOR_POSITION: doors})
     assert result.steps.tolist() == [6, 2, 4]
     assert result.diverged.tolist() == [False, True, False]
-    with DoorSimulator(1) as simulator:
+    with HandSimulator(hand.DOOR, 1) as simulator:
         alone = play(simulator, actions[:1], np.array([6]), {DOOR_POSITION: doors[:1]})
     np.testing.assert_array_equal(result.observations[0], alone.observations[0])
 
 
 def test_an_episode_that_diverges_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("envs.door.resimulation.DoorSimulator", Breaking)
+    monkeypatch.setattr("envs.adroit.resimulation.HandSimulator", Breaking)
     with pytest.raises(DemonstrationError, match="synthetic, episode 1: makes the physics diverge"):
-        resimulate([still_episode(0), still_episode(1)])
+        RESIMULATE([still_episode(0), still_episode(1)])
 
 
 def test_a_door_may_be_abandoned() -> None:
@@ -52,7 +53,7 @@ def test_a_door_may_be_abandoned() -> None:
         assert played.steps.tolist() == [min(steps, 3), steps]
         return np.array([steps < 3, True])
 
-    with DoorSimulator(2, num_threads=1) as simulator:
+    with HandSimulator(hand.DOOR, 2, num_threads=1) as simulator:
         doors = {DOOR_POSITION: np.tile(DOOR, (2, 1))}
         lengths = np.array([5, 5])
         result = play(simulator, np.zeros((2, 5, 28)), lengths, doors, keep_going=keep_going)

@@ -7,23 +7,23 @@ import dataclasses
 import numpy as np
 import pytest
 
+from envs.adroit.simulator import HandSimulator
 from envs.demonstrations import DemonstrationError
 from envs.demonstrations.report import replay_error
-from envs.door import task
-from envs.door.resimulation import resimulate
-from envs.door.simulator import DoorSimulator
+from envs.door import hand, task
+from envs.door.resimulation import RESIMULATE
 from tests.demonstrations.helpers import DOOR, door_of, still_episode
 
 
 @pytest.fixture(scope="module")
 def played():
-    return resimulate([still_episode(i, steps=5 + i) for i in range(3)], num_threads=1)
+    return RESIMULATE([still_episode(i, steps=5 + i) for i in range(3)], num_threads=1)
 
 
 def test_equals_stepping_the_simulator(played) -> None:
     recorded = still_episode(2, steps=7)
-    with DoorSimulator(1) as simulator:
-        expected = [simulator.reset(door_of(recorded)[None])[0]]
+    with HandSimulator(hand.DOOR, 1) as simulator:
+        expected = [simulator.start({hand.DOOR_POSITION: door_of(recorded)[None]})[0]]
         expected += [simulator.step(action[None])[0] for action in recorded.actions]
     episode = played[2]
     np.testing.assert_array_equal(episode.observations, np.stack(expected))
@@ -37,23 +37,32 @@ def test_starts_in_the_reset_pose(played) -> None:
         assert not episode.observations[0, : task.PALM.start].any()
 
 
+def test_a_recorded_pose_is_left_out() -> None:
+    elsewhere = still_episode(0, qpos=np.full(30, 0.1), qvel=np.ones(30))
+    (episode,) = RESIMULATE([elsewhere])
+    assert episode.start.keys() == {hand.DOOR_POSITION}
+    np.testing.assert_array_equal(
+        episode.observations, RESIMULATE([still_episode(0)])[0].observations
+    )
+
+
 def test_resimulating_again_changes_nothing(played) -> None:
-    again = resimulate(played, num_threads=2)
+    again = RESIMULATE(played, num_threads=2)
     for first, second in zip(played, again, strict=True):
         np.testing.assert_array_equal(first.observations, second.observations)
         assert replay_error(first, second).maximum == 0.0
 
 
 def test_a_partly_filled_last_batch(monkeypatch: pytest.MonkeyPatch, played) -> None:
-    monkeypatch.setattr("envs.door.resimulation.BATCH", 2)
-    batched = resimulate([still_episode(i, steps=5 + i) for i in range(3)], num_threads=1)
+    monkeypatch.setattr("envs.adroit.resimulation.BATCH", 2)
+    batched = RESIMULATE([still_episode(i, steps=5 + i) for i in range(3)], num_threads=1)
     for one, other in zip(played, batched, strict=True):
         np.testing.assert_array_equal(one.observations, other.observations)
 
 
 def test_unknown_door_position_is_inferred_from_the_handle(played) -> None:
     nameless = [dataclasses.replace(episode, start={}) for episode in played]
-    for episode, again in zip(played, resimulate(nameless), strict=True):
+    for episode, again in zip(played, RESIMULATE(nameless), strict=True):
         np.testing.assert_allclose(door_of(again), door_of(episode), atol=1e-6)
         np.testing.assert_allclose(again.observations, episode.observations, atol=1e-4)
 
@@ -63,26 +72,7 @@ def test_unknown_position_of_an_open_door_is_an_error(played) -> None:
     observations[0, task.HINGE] = 0.5
     opened = dataclasses.replace(played[0], start={}, observations=observations)
     with pytest.raises(DemonstrationError, match="no door position"):
-        resimulate([opened])
-
-
-def test_horizon_cuts(played) -> None:
-    cut = resimulate(played, horizon=6)
-    assert [episode.length for episode in cut] == [5, 6, 6]
-    np.testing.assert_array_equal(cut[2].observations, played[2].observations[:7])
-
-
-def test_starts_from_the_recorded_state_on_request() -> None:
-    qpos = np.zeros(30)
-    qpos[5] = 0.2
-    recorded = [still_episode(0, qpos=qpos), still_episode(1)]
-    first, second = resimulate(recorded, from_reset_pose=False)
-    np.testing.assert_allclose(first.observations[0, 4], 0.2, atol=1e-7)
-    # Without a stored state, the observed joints are where the recording begins.
-    joints = slice(0, task.PALM.start)
-    np.testing.assert_allclose(
-        second.observations[0, joints], recorded[1].observations[0, joints], atol=1e-7
-    )
+        RESIMULATE([opened])
 
 
 def test_replay_error_is_the_distance_over_common_steps() -> None:
@@ -105,10 +95,10 @@ def test_the_door_is_where_the_recording_says(played) -> None:
 
 def test_leaving_the_door_ends_the_episode() -> None:
     far = still_episode(0, door_position=np.array([-0.25, 1.5, 0.3]))
-    (episode,) = resimulate([far])
+    (episode,) = RESIMULATE([far])
     assert episode.length == 1
     assert episode.terminated.tolist() == [True]
 
 
 def test_nothing_in_nothing_out() -> None:
-    assert resimulate([]) == []
+    assert RESIMULATE([]) == []

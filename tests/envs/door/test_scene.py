@@ -6,13 +6,14 @@ import sys
 import numpy as np
 import pytest
 
-from envs.door import scene
+from envs.adroit import scene
+from envs.door import hand
 from tests.envs.door.conftest import ARM, FINGERS, WRIST
 
 
 @pytest.fixture(scope="module")
 def door():
-    return scene.build_scene()
+    return hand.build_scene()
 
 
 def test_servo_stiffness_by_actuator_name(door):
@@ -33,16 +34,16 @@ def test_arm_keeps_the_gains_of_the_file(door):
 
 def test_gains_do_not_rely_on_the_file(tmp_path, monkeypatch):
     """A file with other gains gives the same scene."""
-    original = scene.model_path()
+    original = scene.model_path("adroit_door.xml")
     for part in original.parent.glob("*.xml"):
         text = part.read_text().replace('gainprm="10 0 0"', 'gainprm="33 0 0"')
         text = text.replace('biasprm="0 -1 0"', 'biasprm="0 -7 0"')
         text = text.replace("resources/", f"{original.parent}/resources/")
         (tmp_path / part.name).write_text(text)
-    monkeypatch.setattr(scene, "model_path", lambda: tmp_path / original.name)
-    changed = scene.build_scene().model
+    monkeypatch.setattr(hand, "model_path", lambda file: tmp_path / file)
+    changed = hand.build_scene().model
     monkeypatch.undo()
-    model = scene.build_scene().model
+    model = hand.build_scene().model
     np.testing.assert_array_equal(changed.actuator_gainprm, model.actuator_gainprm)
     np.testing.assert_array_equal(changed.actuator_biasprm, model.actuator_biasprm)
 
@@ -66,11 +67,11 @@ def test_the_model_package_is_not_imported(door):
 def test_missing_package_names_the_remedy(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(FileNotFoundError, match="pip install gymnasium-robotics"):
-        scene.model_path()
+        scene.model_path("adroit_door.xml")
 
 
 def test_missing_model_file_names_the_remedy(monkeypatch, tmp_path):
     spec = importlib.util.spec_from_file_location("fake", tmp_path / "__init__.py")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: spec)
     with pytest.raises(FileNotFoundError, match="--force-reinstall"):
-        scene.model_path()
+        scene.model_path("adroit_door.xml")

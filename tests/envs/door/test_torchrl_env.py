@@ -7,10 +7,13 @@ from tensordict import TensorDict
 from torchrl.collectors import Collector
 from torchrl.envs import check_env_specs
 
+from envs import EnvOptions
+from envs.adroit.simulator import HandSimulator
+from envs.adroit.torchrl_env import HandEnv
 from envs.door import task
-from envs.door.simulator import DoorSimulator
-from envs.door.starts import door_position
-from envs.door.torchrl_env import DoorEnv
+from envs.door.definition import TASK
+from envs.door.hand import DOOR, DOOR_POSITION
+from tests.envs.door.conftest import door_position
 
 FAR = torch.tensor([[-0.3, 1.6, 0.35]], dtype=torch.float64)
 """A place where the door is out of the hand's reach."""
@@ -21,7 +24,16 @@ def actions(steps: int, count: int, seed: int = 0) -> torch.Tensor:
     return torch.rand((steps, count, 28), generator=torch.manual_seed(seed)) * 2 - 1
 
 
-def roll(env: DoorEnv, given: torch.Tensor, td: TensorDict | None = None):
+def make(count: int = 1, **options) -> HandEnv:
+    return TASK.make_env(EnvOptions(count, **options))
+
+
+def positions(env: HandEnv) -> torch.Tensor:
+    """Where the doors stand now, [N, 3], m."""
+    return torch.as_tensor(env.simulator.placement[DOOR_POSITION])
+
+
+def roll(env: HandEnv, given: torch.Tensor, td: TensorDict | None = None):
     """Step with automatic resets; returns the stacked steps [N, T] and the next root."""
     td = env.reset() if td is None else td
     steps = []
@@ -33,12 +45,12 @@ def roll(env: DoorEnv, given: torch.Tensor, td: TensorDict | None = None):
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_specs(count):
-    check_env_specs(DoorEnv(count, seed=0))
+    check_env_specs(make(count, seed=0))
 
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_keys_shapes_and_types(count):
-    env = DoorEnv(count, seed=0)
+    env = make(count, seed=0)
     td = env.rand_step(env.reset())
     assert set(td.keys()) == KEYS | {"action", "next"}
     assert set(td["next"].keys()) == KEYS | {"reward"}
@@ -52,7 +64,7 @@ def test_keys_shapes_and_types(count):
 
 
 def test_reward_flags_and_extras_are_the_task_functions_of_the_next_observation():
-    steps, _ = roll(DoorEnv(2, seed=0), actions(30, 2))
+    steps, _ = roll(make(2, seed=0), actions(30, 2))
     following = steps["next", "observation"].numpy()
     for key, function in (
         ("reward", task.reward),
@@ -65,17 +77,17 @@ def test_reward_flags_and_extras_are_the_task_functions_of_the_next_observation(
 
 
 def test_equals_the_simulator():
-    env, given = DoorEnv(2, seed=4), actions(20, 2)
+    env, given = make(2, seed=4), actions(20, 2)
     steps, _ = roll(env, given)
-    with DoorSimulator(2) as simulator:
-        simulator.reset([door_position(4, 0, 0), door_position(4, 1, 0)])
+    with HandSimulator(DOOR, 2) as simulator:
+        simulator.start({DOOR_POSITION: [door_position(4, i, 0) for i in range(2)]})
         expected = [simulator.step(action.numpy()) for action in given]
     np.testing.assert_array_equal(steps["next", "observation"].numpy(), np.stack(expected, 1))
 
 
 def test_truncates_itself_at_the_horizon():
-    assert DoorEnv().horizon == 200
-    steps, td = roll(DoorEnv(2, horizon=5, seed=0), actions(11, 2))
+    assert make().horizon == 200
+    steps, td = roll(make(2, horizon=5, seed=0), actions(11, 2))
     expected = torch.tensor([step % 5 == 4 for step in range(11)])
     for key in ("truncated", "done"):
         assert (steps["next", key].squeeze(-1) == expected).all()
@@ -86,7 +98,7 @@ def test_truncates_itself_at_the_horizon():
 
 
 def test_terminates_when_the_hand_leaves_the_door():
-    env = DoorEnv(1, seed=0)
+    env = make(1, seed=0)
     td = env.reset(TensorDict(door_position=FAR, batch_size=[1]))
     # Out of reach already: the first step still happens, and ends the episode.
     assert not td["done"].any()
@@ -97,19 +109,19 @@ def test_terminates_when_the_hand_leaves_the_door():
 
 
 def test_partial_reset_touches_only_the_masked_doors():
-    env = DoorEnv(3, seed=0)
+    env = make(3, seed=0)
     _, td = roll(env, actions(4, 3))
-    before, positions = td["observation"].clone(), env.door_position
+    before, stood = td["observation"].clone(), positions(env)
     mask = torch.tensor([[False], [True], [False]])
     after = env.reset(td.clone().set("_reset", mask))
     changed = (after["observation"] != before).any(-1, keepdim=True)
     assert torch.equal(changed, mask)
-    assert torch.equal((env.door_position != positions).any(-1, keepdim=True), mask)
+    assert torch.equal((positions(env) != stood).any(-1, keepdim=True), mask)
     assert env.elapsed_steps.tolist() == [4, 0, 4]
 
 
 def test_partial_step_touches_only_the_masked_doors():
-    env = DoorEnv(3, seed=0)
+    env = make(3, seed=0)
     td = env.reset()
     before, mask = td["observation"].clone(), torch.tensor([True, False, True])
     following = env.step(td.set("action", actions(1, 3)[0]).set("_step", mask))["next"]
@@ -119,108 +131,108 @@ def test_partial_step_touches_only_the_masked_doors():
 
 
 def test_door_position_can_be_given_for_some_doors():
-    env = DoorEnv(2, seed=0)
+    env = make(2, seed=0)
     td = env.reset()
-    drawn = env.door_position
+    drawn = positions(env)
     wanted = torch.tensor([[-0.21, 0.26, 0.27], [-0.22, 0.27, 0.28]], dtype=torch.float64)
     mask = torch.tensor([[False], [True]])
     env.reset(td.set("_reset", mask).set("door_position", wanted))
-    assert torch.equal(env.door_position, torch.stack([drawn[0], wanted[1]]))
+    assert torch.equal(positions(env), torch.stack([drawn[0], wanted[1]]))
 
 
 def test_a_given_door_position_holds_for_one_episode():
     """The next episode's position is that of the second episode, however the first began."""
-    env = DoorEnv(1, horizon=3, seed=0)
+    env = make(1, horizon=3, seed=0)
     wanted = torch.tensor([[-0.21, 0.26, 0.27]], dtype=torch.float64)
     td = env.reset(TensorDict(door_position=wanted, batch_size=[1]))
     _, td = roll(env, actions(2, 1), td)
-    assert torch.equal(env.door_position, wanted)
+    assert torch.equal(positions(env), wanted)
     roll(env, actions(1, 1), td)
-    np.testing.assert_array_equal(env.door_position, [door_position(0, 0, 1)])
+    np.testing.assert_array_equal(positions(env), [door_position(0, 0, 1)])
 
 
-def positions_seen(env: DoorEnv, resets: int) -> torch.Tensor:
+def positions_seen(env: HandEnv, resets: int) -> torch.Tensor:
     seen = []
     for _ in range(resets):
         env.reset()
-        seen.append(env.door_position)
+        seen.append(positions(env))
     return torch.stack(seen)
 
 
 def test_seeds():
-    first = positions_seen(DoorEnv(2, seed=1), 4)
-    assert torch.equal(first, positions_seen(DoorEnv(2, seed=1), 4))
-    assert not torch.equal(first, positions_seen(DoorEnv(2, seed=2), 4))
+    first = positions_seen(make(2, seed=1), 4)
+    assert torch.equal(first, positions_seen(make(2, seed=1), 4))
+    assert not torch.equal(first, positions_seen(make(2, seed=2), 4))
     assert len(torch.unique(first.reshape(-1, 3), dim=0)) == 8
 
-    env = DoorEnv(2, seed=2)
+    env = make(2, seed=2)
     positions_seen(env, 3)
     assert env.set_seed(1) != 1
     assert torch.equal(first, positions_seen(env, 4))
 
 
 def test_without_a_seed_doors_differ_between_environments():
-    assert not torch.equal(positions_seen(DoorEnv(1), 1), positions_seen(DoorEnv(1), 1))
+    assert not torch.equal(positions_seen(make(1), 1), positions_seen(make(1), 1))
 
 
 def test_a_door_sees_the_same_positions_whoever_else_is_there():
-    few, many = positions_seen(DoorEnv(2, seed=3), 3), DoorEnv(5, seed=3)
+    few, many = positions_seen(make(2, seed=3), 3), make(5, seed=3)
     td = many.reset()
     # The other doors reset more often; door 1 is reset with the first environment's.
     others = torch.tensor([[True], [False], [True], [True], [True]])
-    seen = [many.door_position[1]]
+    seen = [positions(many)[1]]
     for _ in range(2):
         td = many.reset(td.set("_reset", others))
         td = many.reset(td.set("_reset", ~others))
-        seen.append(many.door_position[1])
+        seen.append(positions(many)[1])
     assert torch.equal(torch.stack(seen), few[:, 1])
 
 
 @pytest.mark.parametrize("seed", [-1, 2**63])
 def test_seeds_that_do_not_fit_are_refused(seed):
     with pytest.raises(ValueError, match="seed must be in"):
-        DoorEnv(1, seed=seed)
+        make(1, seed=seed)
 
 
 def test_horizon_must_be_positive():
     with pytest.raises(ValueError, match="horizon"):
-        DoorEnv(1, horizon=0)
+        HandEnv(HandSimulator(DOOR), horizon=0)
 
 
 def test_resumes_bit_for_bit_from_a_file(tmp_path):
     """In mid-episode, across later automatic resets, into an environment with another past."""
-    env, before, after = DoorEnv(2, horizon=7, seed=1), actions(10, 2, 1), actions(15, 2, 2)
+    env, before, after = make(2, horizon=7, seed=1), actions(10, 2, 1), actions(15, 2, 2)
     _, td = roll(env, before)
     torch.save({"env": env.state_dict(), "root": td.to_dict()}, tmp_path / "env.pt")
     expected, _ = roll(env, after, td.clone())
-    expected_positions = env.door_position
+    expected_positions = positions(env)
 
-    other = DoorEnv(2, horizon=7, seed=9, num_threads=1)
+    other = make(2, horizon=7, seed=9, num_threads=1)
     roll(other, after)
     saved = torch.load(tmp_path / "env.pt", weights_only=True)
     other.load_state_dict(saved["env"])
     resumed, _ = roll(other, after, TensorDict(saved["root"], batch_size=[2]))
     for key in ("observation", ("next", "observation"), ("next", "reward"), ("next", "done")):
         assert torch.equal(resumed[key], expected[key]), key
-    assert torch.equal(other.door_position, expected_positions)
+    assert torch.equal(positions(other), expected_positions)
 
 
-def open_door(env: DoorEnv, door: int) -> None:
+def open_door(env: HandEnv, door: int) -> None:
     """Swings a door open, out of the hand's way, and leaves it there."""
     qpos = env.simulator.qpos[[door]]
-    qpos[:, env.simulator.scene.hinge_qpos] = 1.5
-    env.simulator.reset(env.simulator.door_position[[door]], [door], qpos)
+    qpos[:, env.simulator.scene.model.joint("door_hinge").qposadr] = 1.5
+    env.simulator.start({DOOR_POSITION: positions(env)[[door]]}, [door], qpos)
 
 
-def truncated_after(env: DoorEnv, steps: int) -> torch.Tensor:
+def truncated_after(env: HandEnv, steps: int) -> torch.Tensor:
     """What `truncated` is after each of some steps without a reset, [N, steps]."""
-    td, still = TensorDict({}, env.batch_size), torch.zeros(env.num_doors, 28)
+    td, still = TensorDict({}, env.batch_size), torch.zeros(env.num_copies, 28)
     td = td.set("action", still)
     return torch.cat([env.step(td)["next", "truncated"] for _ in range(steps)], -1)
 
 
 def test_an_open_door_ends_its_episode():
-    env = DoorEnv(2, seed=0, success_steps=3)
+    env = make(2, seed=0, success_steps=3)
     env.reset()
     assert not truncated_after(env, 4).any()
     open_door(env, 1)
@@ -228,19 +240,19 @@ def test_an_open_door_ends_its_episode():
 
 
 def test_an_open_door_ends_no_episode_unless_asked():
-    env = DoorEnv(1, seed=0)
+    env = make(1, seed=0)
     env.reset()
     open_door(env, 0)
     assert not truncated_after(env, 10).any()
 
 
 def test_steps_with_an_open_door_count_in_a_row_and_within_an_episode():
-    env = DoorEnv(1, seed=0, success_steps=3)
+    env = make(1, seed=0, success_steps=3)
     env.reset()
     for _ in range(2):
         open_door(env, 0)
         assert not truncated_after(env, 2).any()
-        env.simulator.reset(env.simulator.door_position)  # closed again
+        env.simulator.start({DOOR_POSITION: positions(env)})  # closed again
         assert not truncated_after(env, 1).any()
     open_door(env, 0)
     truncated_after(env, 2)
@@ -250,16 +262,21 @@ def test_steps_with_an_open_door_count_in_a_row_and_within_an_episode():
 
 
 def test_steps_with_an_open_door_are_saved():
-    env, other = (DoorEnv(1, seed=0, success_steps=3) for _ in range(2))
+    env, other = (make(1, seed=0, success_steps=3) for _ in range(2))
     env.reset()
     open_door(env, 0)
     truncated_after(env, 2)
     other.load_state_dict(env.state_dict())
     assert truncated_after(other, 1).all()
+    # As states of before call them.
+    state = env.get_extra_state()
+    state["open"] = state.pop("success_streak")
+    other.set_extra_state(state)
+    assert truncated_after(other, 1).all()
 
 
 def test_a_door_that_is_left_out_does_not_count_on():
-    env = DoorEnv(2, seed=0, success_steps=2)
+    env = make(2, seed=0, success_steps=2)
     env.reset()
     for door in range(2):
         open_door(env, door)
@@ -270,16 +287,16 @@ def test_a_door_that_is_left_out_does_not_count_on():
 
 def test_success_steps_below_one_are_refused():
     with pytest.raises(ValueError, match="success_steps must be at least 1 step"):
-        DoorEnv(1, success_steps=0)
+        HandEnv(HandSimulator(DOOR), success_steps=0)
 
 
 def test_state_of_another_number_of_doors_is_refused():
-    with pytest.raises(ValueError, match=r"holds 2 doors.*has 1: build it with num_doors=2"):
-        DoorEnv(1).set_extra_state(DoorEnv(2).get_extra_state())
+    with pytest.raises(ValueError, match=r"holds 2 doors.*has 1: build it with num_envs=2"):
+        make(1).set_extra_state(make(2).get_extra_state())
 
 
 def test_saved_state_does_not_change_with_the_environment():
-    env = DoorEnv(1, seed=0)
+    env = make(1, seed=0)
     roll(env, actions(2, 1))
     state = env.get_extra_state()
     copy = {key: value.clone() for key, value in state.items()}
@@ -288,7 +305,7 @@ def test_saved_state_does_not_change_with_the_environment():
 
 
 def test_collector_with_several_doors():
-    env = DoorEnv(3, horizon=4, seed=0)
+    env = make(3, horizon=4, seed=0)
     collector = Collector(env, None, frames_per_batch=18, total_frames=36, set_truncated=False)
     batches = [batch.clone() for batch in collector]
     collector.shutdown()
@@ -302,6 +319,6 @@ def test_collector_with_several_doors():
 
 
 def test_rollout_breaks_and_continues_as_asked():
-    env = DoorEnv(2, horizon=3, seed=0)
+    env = make(2, horizon=3, seed=0)
     assert env.rollout(10).shape == (2, 3)
     assert env.rollout(10, break_when_any_done=False).shape == (2, 10)

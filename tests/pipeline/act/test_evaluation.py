@@ -15,8 +15,9 @@ from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from envs import EnvOptions, Stage, find_task
+from envs.adroit.starts import placement_of
 from envs.door.definition import TASK
-from envs.door.starts import door_position
+from envs.door.hand import DOOR, DOOR_POSITION
 from pipeline.act import evaluation
 from pipeline.act.evaluation import Evaluator, reset_td, run_wave
 from pipeline.act.metrics import Rollouts, summarise
@@ -60,7 +61,7 @@ def placed(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[np.ndarray]]:
 
     def recorded(env, policy, start, stages=(), limit=None, *watching):
         wave = run_wave(env, policy, start, stages, limit, *watching)
-        seen.append(env.door_position.numpy()[:limit].copy())
+        seen.append(env.simulator.placement[DOOR_POSITION][:limit])
         return wave
 
     monkeypatch.setattr(evaluation, "run_wave", recorded)
@@ -75,7 +76,7 @@ def test_the_batch_size_changes_neither_doors_nor_results(
     placed.clear()
     in_waves = evaluator(exploration=exploration, batch=2).run(policy)
     assert [len(wave) for wave in placed] == [2, 2, 1]
-    expected = [door_position(11, i, 0) for i in range(5)]
+    expected = [placement_of(DOOR, 11, i, 0)[DOOR_POSITION] for i in range(5)]
     np.testing.assert_array_equal(np.concatenate(placed), expected)
     assert in_waves.progress.shape == together.progress.shape == (5, 12)
     np.testing.assert_allclose(in_waves.returns, together.returns, atol=1e-3)
@@ -236,7 +237,8 @@ def test_only_numbered_episodes_can_be_asked_for():
     with_door = TASK.make_env(EnvOptions(num_envs=2, num_threads=1))
     positions = reset_td(TASK, with_door, 1, 3)["door_position"]
     with_door.close()
-    np.testing.assert_array_equal(positions, [door_position(1, 3, 0), door_position(1, 4, 0)])
+    expected = [placement_of(DOOR, 1, i, 0)[DOOR_POSITION] for i in (3, 4)]
+    np.testing.assert_array_equal(positions, expected)
 
 
 @pytest.mark.parametrize(

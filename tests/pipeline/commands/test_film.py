@@ -12,9 +12,9 @@ import pytest
 
 from envs import find_task
 from envs.adroit import room
+from envs.adroit.simulator import HandSimulator
 from envs.demonstrations import DemoOptions, load_demonstrations
 from envs.door import task
-from envs.door.simulator import DoorSimulator
 from envs.pictures import Picture
 from pipeline import components
 from pipeline.act.recorder import Recorder
@@ -36,7 +36,7 @@ class Poses:
 
     closed = 0
 
-    def __init__(self, simulator: DoorSimulator, *_: object) -> None:
+    def __init__(self, simulator: HandSimulator, *_: object) -> None:
         self.simulator = simulator
 
     def render(self, door: int) -> np.ndarray:

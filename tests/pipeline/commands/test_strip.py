@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from envs.adroit import room
-from envs.door.simulator import DoorSimulator
+from envs.adroit.simulator import HandSimulator
 from pipeline.commands import strip as module
 from pipeline.commands.strip import GAP, Layout, strip
 from tests.pipeline.toys import built, tiny_config
@@ -18,7 +18,7 @@ class Clock:
 
     taken = 0
 
-    def __init__(self, simulator: DoorSimulator, width: int, height: int, _camera: object) -> None:
+    def __init__(self, simulator: HandSimulator, width: int, height: int, _camera: object) -> None:
         self.shape = (height, width, 3)
 
     def render(self, _door: int) -> np.ndarray:

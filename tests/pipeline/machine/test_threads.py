@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from envs import EnvOptions
+from envs.adroit.torchrl_env import HandEnv
 from envs.door.definition import TASK
-from envs.door.torchrl_env import DoorEnv
 from pipeline.learn.stepper import BCSACStepper
 from pipeline.machine.threads import OneThreadCollector
 from tests.pipeline.toys import built, tiny_config
@@ -30,7 +30,7 @@ def test_torch_has_its_threads_for_updates_alone(
 
         monkeypatch.setattr(owner, method, noting)
 
-    note(DoorEnv, "_step")
+    note(HandEnv, "_step")
     note(BCSACStepper, "step")
     options = ("torch_threads=2", "evaluation.interval=20")
     built(tiny_config("ila_bc", tmp_path, demos, *options)).train()

@@ -11,9 +11,10 @@ import pytest
 from typer.testing import CliRunner
 
 from envs import Task
+from envs.adroit.starts import placement_of
 from envs.demonstrations.schema import StartKey
 from envs.door.definition import TASK
-from envs.door.starts import door_position
+from envs.door.hand import DOOR, DOOR_POSITION
 from pipeline.act.metrics import Rollouts, summarise
 from pipeline.build import build_run
 from pipeline.cli import app
@@ -85,7 +86,7 @@ def test_a_task_that_tells_nothing_has_returns_and_lengths():
 def test_starts_are_those_of_the_task_s_list():
     found = episode_columns(TASK, rollouts(), seed=7)
     for axis, name in enumerate("xyz"):
-        stood = [door_position(7, door, 0)[axis] for door in range(3)]
+        stood = [placement_of(DOOR, 7, door, 0)[DOOR_POSITION][axis] for door in range(3)]
         assert found[f"start.door_position.{name}"] == stood
 
 
