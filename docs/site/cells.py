@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from statistics import fmean
+from typing import Any
 
 from scipy.stats import trim_mean
 
@@ -25,8 +26,9 @@ from pipeline.results.cells import (
     by_place,
     load_cells,
 )
+from pipeline.results.evaluation import Evaluation
 from pipeline.results.rows import ORDER, ResultRow, Seed, load_published
-from pipeline.results.run_tables import FORMER, cell, over_episodes, task_of, with_interval
+from pipeline.results.run_tables import cell, over_episodes, with_interval
 from pipeline.results.statistics import interquartile_means
 
 RESULTS = DOCS / "results"
@@ -57,7 +59,7 @@ def reference() -> dict[tuple[str, str], ResultRow]:
     path = RESULTS / FOLDER / REFERENCE
     measured = json.loads(path.read_text())["tasks"] if path.is_file() else {}
     return {
-        (task, reward): ResultRow(DAPG, (Seed(figures, (), ()),))
+        (task, reward): ResultRow(DAPG, (Seed(_of_dapg(figures), (), ()),))
         for task, of_task in measured.items()
         for reward, figures in of_task.items()
     }
@@ -112,30 +114,26 @@ def figures(row: ResultRow | None, columns: Sequence[Column]) -> list[str]:
     return [_figure(row, column) for column in columns]
 
 
-def known_values(row: ResultRow, key: str) -> tuple[float, ...]:
-    """A figure of every seed; nothing if one of them does not tell it."""
-    values = [value_of(seed, key) for seed in row.seeds]
-    known = [value for value in values if value is not None]
-    return tuple(known) if len(known) == len(values) else ()
+def _of_dapg(figures: Mapping[str, Any]) -> Evaluation:
+    return Evaluation.of({**figures, "made_from": {"run": DAPG, "variant": DAPG, "seed": 0}})
 
 
 def middle(row: ResultRow | None, column: Column) -> str:
     """As :func:`figures`, without the interval."""
-    values = () if row is None else known_values(row, column.key)
+    values = [] if row is None else row.figures(column.key)
     if not values:
         return "-"
     return cell(column, fmean(values) if len(values) < SEVERAL else trim_mean(values, QUARTER))
 
 
 def _figure(row: ResultRow | None, column: Column) -> str:
-    values = () if row is None else known_values(row, column.key)
+    values = [] if row is None else row.figures(column.key)
     if row is None or not values:
         return "-"
     if len(values) >= SEVERAL:
-        mean, low, high = _estimate(values)
+        mean, low, high = _estimate(tuple(values))
         return with_interval(column, mean, (low, high))
-    told = {**row.seeds[0].evaluation, column.key: values[0]}
-    interval = over_episodes(told, column) if len(values) == 1 else None
+    interval = over_episodes(row.seeds[0].evaluation, column) if len(values) == 1 else None
     return with_interval(column, fmean(values), interval)
 
 
@@ -146,24 +144,18 @@ def _estimate(values: tuple[float, ...]) -> tuple[float, float, float]:
     return float(found.iqm[0]), float(found.low[0]), float(found.high[0])
 
 
-def value_of(seed: Seed, key: str) -> float | None:
-    """A figure of an evaluation, also of one that called it otherwise."""
-    found = seed.evaluation.get(key, seed.evaluation.get(FORMER.get(key, key)))
-    return None if found is None else float(found)
-
-
 def _cell(row: ResultRow, seed: Seed) -> Cell:
     """A published row's seed, which knows no threads and may be older than the count of steps."""
-    made_from = seed.evaluation["made_from"]
-    task = task_of(made_from)
+    made_from = seed.evaluation.made_from
+    task = str(made_from.task_name)
     walls = [float(point[WALL_S]) for point in seed.curve if point.get(WALL_S) is not None]
     told = {
-        "preset": made_from["preset"],
-        "frames": made_from["frames"],
-        "simulator_steps": made_from.get("simulator_steps"),
+        "preset": made_from.preset,
+        "frames": made_from.frames,
+        "simulator_steps": made_from.simulator_steps,
         "wall_s": max(walls, default=None),
-        "demonstrations_multiplied": made_from["demos_multiplied"],
-        "git": made_from["versions"]["git"],
+        "demonstrations_multiplied": made_from.demos_multiplied,
+        "git": made_from.versions.git if made_from.versions else None,
     }
     reward = (find_task(task).rewards or (OWN,))[0]
     return Cell(task, reward, row.name, dict.fromkeys(CONDITIONS) | told, seed)
@@ -171,4 +163,4 @@ def _cell(row: ResultRow, seed: Seed) -> Cell:
 
 def variant(row: ResultRow) -> str:
     """The variant of which a row of results is."""
-    return str(row.seeds[0].evaluation["made_from"]["variant"])
+    return row.seeds[0].evaluation.made_from.variant

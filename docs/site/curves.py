@@ -100,7 +100,7 @@ def _curves(rows: Sequence[ResultRow]) -> Drawn:
         for number, row in enumerate(rows):
             if _score(row) == key:
                 _curve(axis, row, key, f"C{number}")
-        offline = all(seed.evaluation["made_from"]["frames"] == 0 for r in rows for seed in r.seeds)
+        offline = all(seed.evaluation.made_from.frames == 0 for r in rows for seed in r.seeds)
         axis.set(xlabel="updates" if offline else "environment frames", ylabel=SCORES[key])
         axis.xaxis.set_major_formatter(lambda frames, _: f"{frames / 1000:g}k")
 

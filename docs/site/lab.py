@@ -72,8 +72,8 @@ def _runs(note: Page) -> int:
 def _line(row: ResultRow) -> Sequence[object]:
     success = row.figures(SUCCESS)
     lows = [low for seed in row.seeds if (low := lowest(seed)) is not None]
-    made_from = (seed.evaluation["made_from"] for seed in row.seeds)
-    precisions = dict.fromkeys(str(told.get("precision", "")) for told in made_from)
+    made_from = (seed.evaluation.made_from for seed in row.seeds)
+    precisions = dict.fromkeys(told.precision or "" for told in made_from)
     return (
         code(row.name),
         len(row.seeds),

@@ -87,7 +87,7 @@ def complete(reward: str) -> dict[str, np.ndarray]:
     for name in cells.in_order({row for _, r, row in cells.published() if r == reward}):
         of_tasks = [cells.result(task, reward, name) for task in OURS]
         values = [
-            [cells.value_of(seed, ONCE.key) for seed in row.seeds]
+            [seed.evaluation.figure(ONCE.key) for seed in row.seeds]
             for row in of_tasks
             if row is not None
         ]
@@ -177,7 +177,7 @@ def _joined(told: Sequence[str] | dict[str, None]) -> str:
 
 
 def _tells(row: ResultRow, key: str) -> bool:
-    return any(seed.evaluation.get(key) is not None for seed in row.seeds)
+    return any(seed.evaluation.content.get(key) is not None for seed in row.seeds)
 
 
 def _seeds(row: ResultRow | None) -> str:
@@ -204,9 +204,10 @@ def _demos(task: str, reward: str, name: str) -> str:
 
 def _way(row: ResultRow | None) -> str:
     """The commonest way of its episodes, over seeds."""
-    if row is None or not all(seed.evaluation.get("strategies") for seed in row.seeds):
+    told = [] if row is None else [seed.evaluation.strategies for seed in row.seeds]
+    shares = [one.shares for one in told if one is not None]
+    if not shares or len(shares) < len(told):
         return "-"
-    shares = [seed.evaluation["strategies"]["shares"] for seed in row.seeds]
     means = {way: float(np.mean([of_one.get(way, 0.0) for of_one in shares])) for way in shares[0]}
     way = max(means, key=lambda name: means[name])
     return f"{way} {100 * means[way]:.0f} %"

@@ -92,7 +92,7 @@ def results(names: Sequence[str]) -> str:
 
 def made_by(row: ResultRow) -> str:
     """The variant of which a row of results is."""
-    return str(row.seeds[0].evaluation["made_from"]["variant"])
+    return row.seeds[0].evaluation.made_from.variant
 
 
 def _columns(reference: Reference | None) -> list[Column]:

@@ -100,13 +100,13 @@ def worst_of(episodes: Mapping[str, Sequence[Any]]) -> list[int]:
 
 
 def _evaluated(run_dir: Path, recipe: Recipe) -> dict[str, list[Any]]:
-    evaluation = load_evaluation(run_dir)
-    made_from = evaluation["made_from"]
+    made_from = load_evaluation(run_dir).made_from
     wanted = {"task": recipe.task.name, "evaluation_seed": recipe.evaluation.seed}
     for key, value in wanted.items():
-        if made_from.get(key) != value:
+        found = getattr(made_from, key)
+        if found != value:
             raise RunDirectoryError(
-                f"{run_dir / EVALUATION} is of {key} {made_from.get(key)}, not {value}, whose "
+                f"{run_dir / EVALUATION} is of {key} {found}, not {value}, whose "
                 f"worst episodes are asked for; make it again with: {again.evaluate(run_dir)}"
             )
     return load_columns(beside(run_dir / EVALUATION, EPISODES))

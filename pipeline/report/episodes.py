@@ -67,15 +67,15 @@ def stages(rows: Sequence[ReportRow]) -> Section:
 
 def _furthest(row: ReportRow) -> dict[str, float]:
     """Shares by stage, in the order of the task; from the summaries where tables are missing."""
-    labels = [list(run.evaluation.get("stages") or {}) for run in row.evaluated if run.evaluation]
-    order = next((found for found in labels if found), [])
+    evaluations = [run.evaluation for run in row.runs if run.evaluation is not None]
+    known = [evaluation.stages or {} for evaluation in evaluations]
+    order = next((list(found) for found in known if found), [])
     if not order:
         return {}
     told = [label for run in row.runs for label in run.episodes.get(STAGE, ())]
     if told:
         counted = Counter(told)
         return {label: counted[label] / len(told) for label in (NO_STAGE, *order)}
-    known = [(run.evaluation or {}).get("stages") or {} for run in row.evaluated]
     passed = [
         (1.0, *(float(found[label]) for label in order), 0.0)
         for found in known

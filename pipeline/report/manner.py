@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from pipeline.report.charts import bars, chart, heat_map, in_order
 from pipeline.report.page import Section, Table
 from pipeline.report.rows import ReportRow
-
-Told = Mapping[str, Any]
+from pipeline.results.evaluation import Strategies
 
 
 def strategies(rows: Sequence[ReportRow]) -> Section | None:
@@ -20,15 +18,15 @@ def strategies(rows: Sequence[ReportRow]) -> Section | None:
     found = {row.name: told for row in rows if (told := _told(row))}
     if not found:
         return None
-    words: Mapping[str, str] = next(iter(found.values()))[0]["words"]
-    shares = {name: _mean_shares([of["shares"] for of in told]) for name, told in found.items()}
+    words: Mapping[str, str] = next(iter(found.values()))[0].words
+    shares = {name: _mean_shares([of.shares for of in told]) for name, told in found.items()}
     parts = {key: [of.get(key, 0.0) for of in shares.values()] for key in words}
     lines = [
         [name, *(_percent(of.get(key, 0.0)) for key in words), *_beside(found[name])]
         for name, of in shares.items()
     ]
     meaning = "; ".join(f"'{key}': {text}" for key, text in words.items())
-    at = found[next(iter(found))][0]["thresholds"]
+    at = found[next(iter(found))][0].thresholds
     return Section(
         "strategies",
         "Strategies",
@@ -84,17 +82,18 @@ def robustness(rows: Sequence[ReportRow]) -> Section | None:
     )
 
 
-def _told(row: ReportRow) -> list[Told]:
-    return [told for run in row.evaluated if (told := (run.evaluation or {}).get("strategies"))]
+def _told(row: ReportRow) -> list[Strategies]:
+    evaluations = (run.evaluation for run in row.runs if run.evaluation is not None)
+    return [told for one in evaluations if (told := one.strategies) is not None]
 
 
 def _mean_shares(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {key: float(np.mean([of.get(key, 0.0) for of in shares])) for key in shares[0]}
 
 
-def _beside(told: Sequence[Told]) -> list[str]:
-    last = [found for of in told if (found := of.get("progress_at_last_contact"))]
-    free = [mean for of in told if (mean := of.get("travel_untouched_mean")) is not None]
+def _beside(told: Sequence[Strategies]) -> list[str]:
+    last = [found for of in told if (found := of.progress_at_last_contact)]
+    free = [mean for of in told if (mean := of.travel_untouched_mean) is not None]
     if not last:
         return ["-", "-"]
     low, middle, high = np.mean(last, axis=0)
@@ -104,14 +103,16 @@ def _beside(told: Sequence[Told]) -> list[str]:
     ]
 
 
-def _sensitivity(name: str, told: Sequence[Told], words: Mapping[str, str]) -> list[list[str]]:
+def _sensitivity(
+    name: str, told: Sequence[Strategies], words: Mapping[str, str]
+) -> list[list[str]]:
     lines = []
-    for threshold, values in told[0]["sensitivity"].items():
-        in_use = f"{told[0]['thresholds'].get(threshold, math.nan):g}"
+    for threshold, values in told[0].sensitivity.items():
+        in_use = f"{told[0].thresholds.get(threshold, math.nan):g}"
         for value in values:
             if value == in_use:  # stands in the table above
                 continue
-            tried = [of["sensitivity"].get(threshold, {}) for of in told]
+            tried = [of.sensitivity.get(threshold, {}) for of in told]
             shares = _mean_shares([of[value] for of in tried if value in of])
             line = [_percent(shares.get(key, 0.0)) for key in words]
             lines.append([name, f"{threshold} {value}", *line])

@@ -28,11 +28,14 @@ HOW = (
 
 def estimate(row: ReportRow, column: Column) -> str | None:
     """A figure of the evaluations of a row; None if one of them lacks it or there are none."""
-    values = row.figures(column.key)
-    if not values or len(values) < len(row.evaluated):
+    try:
+        values = row.figures(column.key)
+    except ValueError:  # of a task's own, and no number: that keeps no other figure out
+        return None
+    if not values:
         return None
     if len(values) == 1:
-        evaluation = row.evaluated[0].evaluation or {}
+        (evaluation,) = (run.evaluation for run in row.runs if run.evaluation is not None)
         return with_interval(column, values[0], over_episodes(evaluation, column))
     (mean,), (low,), (high,) = mean_over_runs([[value] for value in values])
     return with_interval(column, float(mean), (float(low), float(high)))

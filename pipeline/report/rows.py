@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.report.sources import ReportRun
-from pipeline.results.evaluation_shape import is_number
 from pipeline.results.rows import RECIPE
 
 OF_THE_MACHINE = frozenset(
@@ -36,9 +35,10 @@ class ReportRow:
         return [run for run in self.runs if run.evaluation is not None]
 
     def figures(self, key: str) -> list[float]:
-        """A number of every run's evaluation, of those that have it and where it is one."""
-        found = [run.evaluation.get(key) for run in self.runs if run.evaluation is not None]
-        return [float(value) for value in found if is_number(value)]
+        """One number of every evaluated run; none if one of them does not tell it."""
+        found = [run.evaluation.figure(key) for run in self.runs if run.evaluation is not None]
+        known = [figure for figure in found if figure is not None]
+        return known if len(known) == len(found) else []
 
     def told(self, key: str) -> Any:
         """A value of the recipe, of the first run that tells it."""

@@ -24,6 +24,7 @@ from pipeline.files.run_files import (
 from pipeline.files.time_use import TIME_USE
 from pipeline.renamed import rename_keys
 from pipeline.results import again
+from pipeline.results.evaluation import Evaluation, MadeFrom, Versions
 from pipeline.results.evaluation_files import (
     EPISODES,
     PROGRESS_CURVE,
@@ -50,7 +51,7 @@ class ReportRun:
     Attributes:
         path: the run directory or the file.
         folder: name of the folder of its row, where it lies in one (``ROW/seedN``).
-        evaluation: content of ``evaluation.json``.
+        evaluation: of the policy.
         curve: rows of the learning curve.
         alarms: that it raised.
         episodes: of the evaluation, see ``pipeline.results.evaluation_files``.
@@ -64,28 +65,26 @@ class ReportRun:
 
     path: Path
     folder: str | None = None
-    evaluation: Json | None = None
+    evaluation: Evaluation | None = None
     curve: Sequence[Json] = ()
     alarms: Sequence[Json] = ()
     episodes: Columns = field(default_factory=dict)
     progress: Columns = field(default_factory=dict)
     config: Json = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
-    versions: Json = field(default_factory=dict)
+    versions: Versions = field(default_factory=Versions)
     robustness: Robustness | None = None
     missing: tuple[str, ...] = ()
 
     @property
-    def made_from(self) -> Json:
-        """What the evaluation was made from; empty without one."""
-        found: Json = {} if self.evaluation is None else self.evaluation["made_from"]
-        return found
+    def made_from(self) -> MadeFrom | None:
+        """What the evaluation was made from; None without one."""
+        return None if self.evaluation is None else self.evaluation.made_from
 
     def told(self, key: str) -> Any:
         """A value of the recipe, from the evaluation or else from the configuration."""
-        of_config = {"task": "task.name", "demos": "demos.source", "bc_weight": LAMBDA}
-        found = self.made_from.get(key, self.config.get(of_config.get(key, key)))
-        return self.made_from.get("env") if found is None and key == "task" else found
+        found = getattr(self.made_from, "task_name" if key == "task" else key, None)
+        return self.config.get(OF_CONFIG.get(key, key)) if found is None else found
 
     @property
     def name(self) -> str:
@@ -93,7 +92,8 @@ class ReportRun:
         return "/".join(self.path.parts[-2:])
 
 
-LAMBDA = "loss.bc_weight.init"
+OF_CONFIG = {"task": "task.name", "demos": "demos.source", "bc_weight": "loss.bc_weight.init"}
+"""Dotted keys of the configuration that an evaluation calls otherwise."""
 
 
 def read_runs(paths: Sequence[Path]) -> list[ReportRun]:
@@ -186,7 +186,7 @@ def _of_directory(path: Path) -> ReportRun:
         progress=progress,
         config=reader(lambda: flat(_yaml(path / CONFIG)), {}),
         seconds=reader(lambda: _object(path / TIME_USE).get("parts_s", {}), {}),
-        versions=reader(lambda: _object(path / VERSIONS), {}),
+        versions=reader(lambda: Versions.of(_object(path / VERSIONS)), Versions()),
         robustness=reader(lambda: _robustness(path / ROBUSTNESS), None),
         missing=tuple(reader.missing),
     )
@@ -195,8 +195,8 @@ def _of_directory(path: Path) -> ReportRun:
 def _of_file(path: Path) -> ReportRun:
     reader = _Reader()
     evaluation = reader(lambda: load_evaluation(path), None)
-    if evaluation is not None and "curve" in evaluation:
-        seed = reader(lambda: parse_published(path, evaluation), None)
+    if evaluation is not None and "curve" in evaluation.content:
+        seed = reader(lambda: parse_published(path, evaluation.content), None)
         if seed is not None:
             return ReportRun(path, _folder(path), seed.evaluation, seed.curve, seed.alarms)
         return ReportRun(path, _folder(path), missing=tuple(reader.missing))
@@ -211,16 +211,16 @@ def _of_file(path: Path) -> ReportRun:
     )
 
 
-def _tables(reader: _Reader, path: Path, evaluation: Json | None) -> tuple[Columns, Columns]:
+def _tables(reader: _Reader, path: Path, evaluation: Evaluation | None) -> tuple[Columns, Columns]:
     """The tables beside an evaluation, if they are of it."""
     nothing: tuple[Columns, Columns] = ({}, {})
     if evaluation is None:
         return nothing
     episodes: Columns = reader(lambda: load_columns(beside(path, EPISODES)), {})
-    if episodes and len(episodes["episode"]) != evaluation["episodes"]:
+    if episodes and len(episodes["episode"]) != evaluation.episodes:
         reader.missing.append(
             f"{beside(path, EPISODES)} holds {len(episodes['episode'])} episodes and {path.name} "
-            f"{evaluation['episodes']}: they are of two evaluations; make them again: "
+            f"{evaluation.episodes}: they are of two evaluations; make them again: "
             f"{again.evaluate(path)}"
         )
         return nothing
@@ -229,9 +229,9 @@ def _tables(reader: _Reader, path: Path, evaluation: Json | None) -> tuple[Colum
     return episodes, progress
 
 
-def _outdated(path: Path, evaluation: Json | None) -> list[str]:
+def _outdated(path: Path, evaluation: Evaluation | None) -> list[str]:
     """Whether the run has gone on since it was evaluated."""
-    judged = "" if evaluation is None else str(evaluation["made_from"].get("checkpoint", ""))
+    judged = "" if evaluation is None else str(evaluation.made_from.checkpoint)
     newest = max((found.name for found in (path / CHECKPOINTS).glob("checkpoint-*")), default="")
     if not judged.startswith("checkpoint-") or newest <= judged:
         return []

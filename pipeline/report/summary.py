@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,8 @@ from pipeline.report.plane import Spread, plane
 from pipeline.report.rows import ReportRow, different, recipe
 from pipeline.report.sources import ReportRun
 from pipeline.results import again
-from pipeline.results.run_tables import FORMER, RETURN, cell
+from pipeline.results.evaluation import Movement, Versions
+from pipeline.results.run_tables import RETURN, cell
 
 HEADLINE = (
     Column("success_once", "success", percent=True),
@@ -54,17 +54,10 @@ def _beside(
         line = [row.name, str(len(row.evaluated)), _episodes(row)]
         for column in columns:
             theirs = published(row, column.key, reference)
-            text = _estimate(row, column) or "-"
+            text = estimate(row, column) or "-"
             line.append(text if theirs is None else f"{text} / {cell(column, theirs)}")
         lines.append(line)
     return Table(["row", "seeds", "episodes", *(c.header for c in columns)], lines, title)
-
-
-def _estimate(row: ReportRow, column: Column) -> str | None:
-    found = estimate(row, column)
-    if found is None and column.key in FORMER:
-        return estimate(row, replace(column, key=FORMER[column.key]))
-    return found
 
 
 def _episodes(row: ReportRow) -> str:
@@ -86,14 +79,13 @@ ALIKE = (
 
 def alike(rows: Sequence[ReportRow]) -> Section | None:
     """How alike the movements are to demonstrations; None if no evaluation compared them."""
-    shown: dict[str, list[Mapping[str, Any]]] = {}
-    own: dict[str, list[Mapping[str, Any]]] = {}
+    shown: dict[str, list[Movement]] = {}
+    own: dict[str, list[Movement]] = {}
     for row in rows:
-        found = [told for run in row.runs if (told := (run.evaluation or {}).get("likeness"))]
-        for told in found:
-            shown.setdefault(f"demonstrations: {told['to']}", [told["of_demonstrations"]])
-        if found:
-            own[row.name] = found
+        evaluations = (run.evaluation for run in row.runs if run.evaluation is not None)
+        for told in filter(None, (evaluation.likeness for evaluation in evaluations)):
+            shown.setdefault(f"demonstrations: {told.to}", [told.of_demonstrations])
+            own.setdefault(row.name, []).append(told)
     if not own:
         return None
     everything = {**shown, **own}
@@ -126,16 +118,16 @@ def alike(rows: Sequence[ReportRow]) -> Section | None:
     )
 
 
-def _quantiles(found: Sequence[Mapping[str, Any]], key: str) -> Spread | None:
+def _quantiles(found: Sequence[Movement], key: str) -> Spread | None:
     """10, 50 and 90 % over episodes, means over seeds, in the table's unit; None if unknown."""
-    known = [of_one[key] for of_one in found if of_one.get(key) is not None]
+    known = [spread for of_one in found if (spread := getattr(of_one, key)) is not None]
     if not known:
         return None
     low, middle, high = {key: scale for key, _, scale in ALIKE}[key] * np.mean(known, axis=0)
     return float(low), float(middle), float(high)
 
 
-def _alike(found: Sequence[Mapping[str, Any]]) -> list[str]:
+def _alike(found: Sequence[Movement]) -> list[str]:
     cells = []
     for key, _, _ in ALIKE:
         known = _quantiles(found, key)
@@ -199,23 +191,23 @@ ORIGIN = (
 
 def _origin(row: ReportRow, run: ReportRun) -> list[str]:
     made_from = run.made_from
-    told = made_from.get("versions") or {}
+    versions = _versions(run)
     demos = run.told("demos")
-    sha = made_from.get("demos_sha256")
+    sha = None if made_from is None else made_from.demos_sha256
     return [
         run.name,
         row.name,
         _or_dash(run.told("seed")),
-        _or_dash(made_from.get("checkpoint")),
-        _or_dash(made_from.get("frames")),
-        _or_dash(made_from.get("simulator_steps")),
+        _or_dash(None if made_from is None else made_from.checkpoint),
+        _or_dash(None if made_from is None else made_from.frames),
+        _or_dash(None if made_from is None else made_from.simulator_steps),
         _command(run),
-        _revision(told),
+        _revision(versions),
         _revision(run.versions),
-        _or_dash(made_from.get("evaluation_seed")),
+        _or_dash(None if made_from is None else made_from.evaluation_seed),
         "-" if demos is None else Path(demos).name,
-        "-" if sha is None else str(sha)[:HASH_DIGITS],
-        _or_dash(told.get("machine") or run.versions.get("machine")),
+        "-" if sha is None else sha[:HASH_DIGITS],
+        _or_dash(versions.machine or run.versions.machine),
     ]
 
 
@@ -231,21 +223,25 @@ def _command(run: ReportRun) -> str:
         "eval",
         run.name,
         {**of_config, "name": run.told("task")},
-        run.made_from.get("overrides") or [],
-        EPISODES=run.evaluation["episodes"],
+        run.evaluation.made_from.overrides or [],
+        EPISODES=run.evaluation.episodes,
     )
 
 
-def _revision(told: Mapping[str, Any]) -> str:
-    revision = told.get("git")
-    if not revision:
+def _revision(versions: Versions) -> str:
+    if not versions.git:
         return "-"
-    return f"{revision[:HASH_DIGITS]}{'*' if told.get('git_dirty') else ''}"
+    return f"{versions.git[:HASH_DIGITS]}{'*' if versions.git_dirty else ''}"
 
 
-def _packages(run: ReportRun) -> Mapping[str, Any]:
-    found: Mapping[str, Any] = (run.made_from.get("versions") or {}).get("packages") or {}
-    return found
+def _versions(run: ReportRun) -> Versions:
+    """At the evaluation."""
+    found = None if run.made_from is None else run.made_from.versions
+    return Versions() if found is None else found
+
+
+def _packages(run: ReportRun) -> Mapping[str, str | None]:
+    return _versions(run).packages or {}
 
 
 def _once(lines: Sequence[Sequence[str]]) -> list[list[str]]:

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import yaml
 
 from envs.demonstrations import DemonstrationError
 from envs.demonstrations.readers.recording import read_card
 from pipeline.files.run_files import RunDirectoryError
+from pipeline.results.evaluation import MadeFrom
 
 FILE: Final = "demonstrations.yaml"
 MAKERS: Final = ("human", "robot")
@@ -49,7 +50,7 @@ def read_listed(path: Path) -> dict[str, Demonstrators]:
 
 
 def demonstrators(
-    made_from: Mapping[str, Any], limit: int | None, listed: Mapping[str, Demonstrators]
+    made_from: MadeFrom, limit: int | None, listed: Mapping[str, Demonstrators]
 ) -> Demonstrators:
     """Of the demonstrations that an evaluated run was given.
 
@@ -58,9 +59,9 @@ def demonstrators(
         limit: The first so many were taken; None is all.
         listed: Files of others.
     """
-    found = listed.get(str(made_from.get("demos_sha256")))
+    found = listed.get(str(made_from.demos_sha256))
     if found is None:
-        found = _of_recording(Path(str(made_from.get("demos"))))
+        found = _of_recording(Path(str(made_from.demos)))
     if limit is None or found.episodes is None:
         return found
     return Demonstrators(found.by, min(limit, found.episodes))

@@ -18,7 +18,7 @@ from envs import Task
 from pipeline.act.metrics import Rollouts
 from pipeline.files.run_files import EVALUATION, RunDirectoryError, as_json, write_atomically
 from pipeline.results import again
-from pipeline.results.evaluation_shape import require_evaluation
+from pipeline.results.evaluation import Evaluation
 
 SUM = "sha256"
 """Key of an evaluation file: of all others and their values."""
@@ -122,7 +122,7 @@ def progress_columns(rollouts: Rollouts) -> dict[str, list[Any]]:
     return {"step": list(range(1, steps + 1)), "running": running[:steps].tolist(), **named}
 
 
-def load_evaluation(path: Path) -> dict[str, Any]:
+def load_evaluation(path: Path) -> Evaluation:
     """Reads the evaluation of a run directory, or an evaluation file itself.
 
     Raises:
@@ -133,23 +133,20 @@ def load_evaluation(path: Path) -> dict[str, Any]:
     if not file.is_file():
         raise RunDirectoryError(f"{file} does not exist; make it with: {again.evaluate(path)}")
     try:
-        evaluation = json.loads(file.read_text())
-        if not isinstance(evaluation, dict):
+        content = json.loads(file.read_text())
+        if not isinstance(content, dict):
             raise TypeError("it is no object")
         # Files of before have no sum.
-        intact = evaluation.pop(SUM, written := _sum(evaluation)) == written
-        if intact:
-            require_evaluation(evaluation)
+        if content.pop(SUM, written := _sum(content)) == written:
+            return Evaluation.of(content)
     except (ValueError, TypeError, RecursionError) as error:
         raise RunDirectoryError(
             f"{file} is not an evaluation ({error}); make it again with: {again.evaluate(path)}"
         ) from error
-    if not intact:
-        raise RunDirectoryError(
-            f"{file} is not as it was written: damaged, or edited; make it again with: "
-            f"{again.evaluate(path)}"
-        )
-    return evaluation
+    raise RunDirectoryError(
+        f"{file} is not as it was written: damaged, or edited; make it again with: "
+        f"{again.evaluate(path)}"
+    )
 
 
 def save_evaluation(path: Path, evaluation: Mapping[str, Any]) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from pipeline.files.run_files import CONFIG, write_atomically
 from pipeline.policy import WEIGHTS, load_policy, save_weights
 from pipeline.recipe import Recipe
+from pipeline.results.evaluation import MadeFrom
 from pipeline.results.rows import Seed
 from pipeline.run_dir import load_recipe, save_recipe
 
@@ -55,20 +54,21 @@ def export_policy(seed: Seed, run_dir: Path, folder: Path, *, name: str) -> None
     write_atomically(folder / CARD, _card(seed, recipe, name, origin.frames))
 
 
-def _action(made_from: Mapping[str, Any]) -> str:
-    if made_from["exploration"] == "mean":
+def _action(made_from: MadeFrom) -> str:
+    if made_from.exploration == "mean":
         return "mean action"
-    return f"sampled action, its noise times {made_from.get('noise_scale', 1.0):g}"
+    scale = 1.0 if made_from.noise_scale is None else made_from.noise_scale
+    return f"sampled action, its noise times {scale:g}"
 
 
 def _card(seed: Seed, recipe: Recipe, name: str, frames: int) -> str:
     evaluation = seed.evaluation
     figures = "\n".join(
-        f"| {label} | {evaluation[key]:.4g} |"
+        f"| {label} | {figure:.4g} |"
         for key, label in SHOWN.items()
-        if evaluation.get(key) is not None
+        if (figure := evaluation.figure(key)) is not None
     )
-    made_from = evaluation["made_from"]
+    made_from = evaluation.made_from
     return f"""# Policy `{name}`
 
 Of the task `{recipe.task.name}`.
@@ -81,6 +81,6 @@ Of the task `{recipe.task.name}`.
 | network | {" x ".join(str(width) for width in recipe.actor.hidden)} |
 {figures}
 
-Over {evaluation["episodes"]} episodes, evaluation seed {made_from["evaluation_seed"]}, {_action(made_from)}. Again: `make eval RUN=docs/results/policies/{name}`.
+Over {evaluation.episodes} episodes, evaluation seed {made_from.evaluation_seed}, {_action(made_from)}. Again: `make eval RUN=docs/results/policies/{name}`.
 Weights are in `{WEIGHTS}` (safetensors: tensors only), the configuration in `{CONFIG}`.
 """  # noqa: E501 - lines of Markdown

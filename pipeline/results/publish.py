@@ -104,8 +104,8 @@ def table(rows: Sequence[ResultRow]) -> dict[str, Any]:
     """``table.json``: for each row its frames, its preset and the evaluation of every seed."""
     return {
         row.name: {
-            "frames": row.seeds[0].evaluation["made_from"]["frames"],
-            "preset": row.seeds[0].evaluation["made_from"]["preset"],
+            "frames": row.seeds[0].evaluation.made_from.frames,
+            "preset": row.seeds[0].evaluation.made_from.preset,
             "seeds": [_figures(seed.published()) for seed in row.seeds],
         }
         for row in rows

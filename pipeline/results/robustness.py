@@ -5,23 +5,26 @@ A ladder is one kind of disturbance in one direction, from the weakest setting t
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, Self
 
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
 from tabulate import tabulate
 
 from pipeline.files.run_files import RunDirectoryError, as_json, write_atomically
 from pipeline.results import again
+from pipeline.results.evaluation import Share, first_fault
 
 ROBUSTNESS: Final = "robustness.json"
 TABLE: Final = "robustness.md"
 FIGURE: Final = "robustness.png"
+CHECKED: Final = ConfigDict(allow_inf_nan=False)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=CHECKED)
 class Measured:
     """Episodes under one setting.
 
@@ -34,8 +37,8 @@ class Measured:
     """
 
     setting: str
-    success: float | None = None
-    ci95: tuple[float, float] | None = None
+    success: Share | None = None
+    ci95: tuple[Share, Share] | None = None
     return_mean: float | None = None
     refused: str | None = None
 
@@ -48,7 +51,7 @@ class Measured:
         return f"{100 * self.success:.1f} [{low:.1f}, {high:.1f}]"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=CHECKED)
 class Ladder:
     """Settings of one kind, the weakest first."""
 
@@ -69,7 +72,7 @@ class Ladder:
         return next(broken, None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=CHECKED)
 class Robustness:
     """A policy under all ladders.
 
@@ -116,24 +119,16 @@ class Robustness:
         """
         remedy = f"make it with: {again.command('robust', path.parent, again.task_of(path.parent))}"
         try:
-            told = json.loads(path.read_text())
-            return cls(
-                bar=told["bar"],
-                episodes=told["episodes"],
-                undisturbed=_measured(told["undisturbed"]),
-                ladders=tuple(
-                    Ladder(of["kind"], of["what"], tuple(map(_measured, of["settings"])))
-                    for of in told["ladders"]
-                ),
-                made_from=told["made_from"],
-                kinds=tuple(told.get("kinds", ())),  # files of before have none
-            )
+            return TypeAdapter(cls).validate_json(path.read_text(), strict=True)
         except OSError as error:
             raise RunDirectoryError(
                 f"{path} cannot be read ({error.strerror}); {remedy}"
             ) from error
-        except (ValueError, KeyError, TypeError) as error:
-            raise RunDirectoryError(f"{path} is damaged ({error!r}); {remedy}") from error
+        except ValidationError as error:
+            told = first_fault(error)
+            raise RunDirectoryError(f"{path} is damaged ({told}); {remedy}") from error
+        except ValueError as error:  # bytes that are no text
+            raise RunDirectoryError(f"{path} is damaged ({error}); {remedy}") from error
 
     def rows(self) -> list[list[str]]:
         """A line a ladder: what, its settings with their success, what breaks it."""
@@ -201,8 +196,3 @@ def _weakness(found: Robustness) -> list[str]:
 def _refusals(ladders: Sequence[Ladder]) -> list[str]:
     found = [m.refused for ladder in ladders for m in ladder.settings if m.refused]
     return ["", *(f"- refused: {reason}" for reason in found)] if found else []
-
-
-def _measured(told: Mapping[str, Any]) -> Measured:
-    ci95 = told["ci95"]
-    return Measured(**{**told, "ci95": None if ci95 is None else (ci95[0], ci95[1])})

@@ -9,6 +9,7 @@ from typing import Any
 
 from pipeline.files.curves import in_order, read_lines
 from pipeline.files.run_files import ALARMS, EVALUATION, LEARNING_CURVE, RunDirectoryError
+from pipeline.results.evaluation import Evaluation
 from pipeline.results.evaluation_files import load_evaluation
 
 SEED = "seed"
@@ -41,7 +42,7 @@ DIGITS = 6
 class Seed:
     """One evaluated run."""
 
-    evaluation: Mapping[str, Any]
+    evaluation: Evaluation
     curve: tuple[Mapping[str, Any], ...]
     """Rows of the learning curve; empty for a run without a curve."""
     alarms: tuple[Mapping[str, Any], ...]
@@ -51,17 +52,17 @@ class Seed:
     @property
     def seed(self) -> int:
         """Of the run."""
-        return int(self.evaluation["made_from"]["seed"])
+        return self.evaluation.made_from.seed
 
     def published(self) -> dict[str, Any]:
         """Everything that a reader of the results can check, without paths of this machine."""
-        made_from = {**self.evaluation["made_from"]}
-        made_from["run"] = Path(made_from["run"]).name
-        made_from["demos"] = Path(made_from["demos"]).name
+        made_from = {**self.evaluation.content["made_from"]}
+        for place in ("run", "demos"):
+            made_from[place] = Path(made_from[place]).name
         made_from.pop("overrides", None)  # what they changed is said by the other entries
         columns = {key: None for row in self.curve for key in row}
         return {
-            **self.evaluation,
+            **self.evaluation.content,
             "made_from": made_from,
             "alarms": list(self.alarms),
             "curve": {key: [_short(row.get(key)) for row in self.curve] for key in columns},
@@ -76,13 +77,15 @@ class ResultRow:
     seeds: tuple[Seed, ...]
 
     def figures(self, key: str) -> list[float]:
-        """One number of every seed's evaluation."""
-        return [float(seed.evaluation[key]) for seed in self.seeds]
+        """One number of every seed's evaluation; none if one of them does not tell it."""
+        found = [seed.evaluation.figure(key) for seed in self.seeds]
+        known = [figure for figure in found if figure is not None]
+        return known if len(known) == len(found) else []
 
     @property
     def seeds_by_distance_to_median(self) -> list[Seed]:
         """First the seed in the middle by return: what a user of the recipe may expect."""
-        ordered = sorted(self.seeds, key=lambda seed: float(seed.evaluation["return_mean"]))
+        ordered = sorted(self.seeds, key=lambda seed: seed.evaluation.return_mean or 0.0)
         middle = len(ordered) // 2
         places = sorted(range(len(ordered)), key=lambda place: abs(place - middle))
         return [ordered[place] for place in places]
@@ -129,7 +132,7 @@ def load_published(folder: Path) -> list[ResultRow]:
     """
     rows: dict[str, list[Seed]] = {}
     for path in sorted((folder / ROWS).glob(f"*/{SEED}*.json")):
-        seed = parse_published(path, load_evaluation(path))
+        seed = parse_published(path, load_evaluation(path).content)
         rows.setdefault(path.parent.name, []).append(seed)
     return [
         ResultRow(name, tuple(sorted(seeds, key=lambda s: s.seed))) for name, seeds in rows.items()
@@ -151,7 +154,7 @@ def parse_published(path: Path, content: Mapping[str, Any]) -> Seed:
         curve, alarms = evaluation.pop("curve"), evaluation.pop("alarms")
         points = zip(*curve.values(), strict=True)
         rows = in_order(dict(zip(curve, point, strict=True)) for point in points)
-        return Seed(evaluation, tuple(rows), tuple(alarms))
+        return Seed(Evaluation.of(evaluation), tuple(rows), tuple(alarms))
     except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as error:
         raise RunDirectoryError(
             f"{path} is not a published run ({error}); restore or remove it"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,8 +18,9 @@ from pipeline.recipe import Recipe
 from pipeline.results import again
 from pipeline.results.cells import OWN, Cell
 from pipeline.results.demonstrators import Demonstrators, demonstrators
+from pipeline.results.evaluation import Evaluation, Versions
 from pipeline.results.rows import ORDER, Seed, load_seed
-from pipeline.results.run_tables import row_name, task_of
+from pipeline.results.run_tables import row_name
 from pipeline.run_dir import saved_recipe
 from pipeline.updates import critic_updates
 
@@ -60,9 +62,9 @@ def read_cell(run_dir: Path, listed: Mapping[str, Demonstrators], *, unclean: bo
     _require_one_run(recipe, run)
     _require_its_end(recipe, run)
     trained_with = _versions(run_dir)
-    for what, told in (("trained", trained_with), ("evaluated", run.evaluation["made_from"])):
-        _require_revision(run_dir, what, told.get("versions", told), unclean=unclean)
-    made_from = run.evaluation["made_from"]
+    made_from = run.evaluation.made_from
+    for what, told in (("trained", Versions.of(trained_with)), ("evaluated", made_from.versions)):
+        _require_revision(run_dir, what, told or Versions(), unclean=unclean)
     demos = demonstrators(made_from, recipe.demos.limit, listed)
     wall_s = TimeUse.read_wall_s(run_dir)
     return Cell(
@@ -71,9 +73,9 @@ def read_cell(run_dir: Path, listed: Mapping[str, Demonstrators], *, unclean: bo
         row=row_name(recipe.variant, recipe.loss.bc_weight.init, ORDER),
         conditions={
             "preset": recipe.preset,
-            "frames": made_from["frames"],
+            "frames": made_from.frames,
             "updates": critic_updates(recipe),
-            "simulator_steps": made_from.get("simulator_steps"),
+            "simulator_steps": made_from.simulator_steps,
             "wall_s": last_wall_s(run_dir) or None if wall_s is None else wall_s,
             "demonstrations": demos.episodes,
             "demonstrations_by": demos.by,
@@ -114,9 +116,10 @@ def _short(task: str) -> str:
 
 
 def _without_folders(run: Seed) -> Seed:
-    made_from = dict(run.evaluation["made_from"])
-    made_from["task"] = _short(task_of(made_from))
-    return Seed({**run.evaluation, "made_from": made_from}, run.curve, run.alarms, run.run_dir)
+    task = _short(str(run.evaluation.made_from.task_name))
+    content = run.evaluation.content
+    made_from = {**content["made_from"], "task": task}
+    return replace(run, evaluation=Evaluation.of({**content, "made_from": made_from}))
 
 
 def _again(run: Seed) -> str:
@@ -124,11 +127,11 @@ def _again(run: Seed) -> str:
 
 
 def _require_one_run(recipe: Recipe, run: Seed) -> None:
-    made_from = run.evaluation["made_from"]
-    told = {key: made_from.get(key) for key in SAME} | {"task": task_of(made_from)}
+    made_from = run.evaluation.made_from
+    told = {key: getattr(made_from, key) for key in SAME} | {"task": made_from.task_name}
     trained = {key: getattr(recipe, key) for key in SAME} | {"task": recipe.task.name}
-    if "reward" in made_from:  # evaluations of before do not say
-        told["reward"], trained["reward"] = made_from["reward"], recipe.env.reward
+    if "reward" in made_from.model_fields_set:  # evaluations of before do not say
+        told["reward"], trained["reward"] = made_from.reward, recipe.env.reward
     for key, value in trained.items():
         if told[key] != value:
             raise RunDirectoryError(
@@ -139,7 +142,7 @@ def _require_one_run(recipe: Recipe, run: Seed) -> None:
 
 def _require_its_end(recipe: Recipe, run: Seed) -> None:
     assert run.run_dir is not None
-    name = str(run.evaluation["made_from"].get("checkpoint"))
+    name = str(run.evaluation.made_from.checkpoint)
     found = CHECKPOINT.fullmatch(name)
     if found is None:
         raise RunDirectoryError(
@@ -166,10 +169,10 @@ def _checkpoints(run_dir: Path) -> list[int]:
     return [int(found[1]) for found in names if found is not None]
 
 
-def _require_revision(run_dir: Path, what: str, told: Mapping[str, Any], *, unclean: bool) -> None:
-    if unclean or (told.get("git") and not told.get("git_dirty")):
+def _require_revision(run_dir: Path, what: str, told: Versions, *, unclean: bool) -> None:
+    if unclean or (told.git and not told.git_dirty):
         return
-    why = "with changes that no revision holds" if told.get("git") else "outside any revision"
+    why = "with changes that no revision holds" if told.git else "outside any revision"
     raise RunDirectoryError(
         f"{run_dir} was {what} {why}: commit, and make it again, or publish it as it is with "
         "ARGS=--unclean"
@@ -180,9 +183,8 @@ def _versions(run_dir: Path) -> Mapping[str, Any]:
     path = run_dir / VERSIONS
     try:
         found = json.loads(path.read_text())
+        Versions.of(found)
     except (OSError, ValueError) as error:
         told = error.strerror if isinstance(error, OSError) else error
         raise RunDirectoryError(f"{path} cannot be read ({told}); restore it") from error
-    if not isinstance(found, dict):
-        raise RunDirectoryError(f"{path} holds no object; restore it")
-    return found
+    return dict(found)

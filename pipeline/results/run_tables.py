@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from tabulate import tabulate
@@ -13,11 +12,9 @@ from envs import find_task
 from envs.intervals import wilson
 from envs.reference import Column, Reference
 from envs.task import MissingCapabilityError
-from pipeline.results.evaluation_shape import is_number
+from pipeline.results.evaluation import Evaluation
 
 RETURN = "return_mean"
-FORMER = {"steps_to_success_median": "steps_to_open_median"}
-"""What evaluations of the door called a figure before every task had it."""
 NORMAL_95 = 1.959964
 """Deviations of a normal distribution within which 95 % lie."""
 
@@ -39,11 +36,11 @@ def row_name(variant: str, bc_weight: float | None, names: Iterable[str]) -> str
     return f"{variant}_{bc_weight:g}" if several and bc_weight is not None else variant
 
 
-def render(evaluations: Sequence[Mapping[str, Any]], reference: Reference) -> str:
+def render(evaluations: Sequence[Evaluation], reference: Reference) -> str:
     """The task's tables in Markdown; every column is "ours / published".
 
     Args:
-        evaluations: Contents of ``evaluation.json`` files of runs of the task.
+        evaluations: Of runs of the task.
         reference: Of the task.
 
     Raises:
@@ -56,14 +53,14 @@ def render(evaluations: Sequence[Mapping[str, Any]], reference: Reference) -> st
     )
 
 
-def reference_of(evaluations: Sequence[Mapping[str, Any]]) -> Reference:
+def reference_of(evaluations: Sequence[Evaluation]) -> Reference:
     """The published rows of the task that all evaluations are of.
 
     Raises:
         ValueError: If they are of several tasks.
         MissingCapabilityError: If the task has no published rows.
     """
-    tasks = {task_of(evaluation["made_from"]) for evaluation in evaluations}
+    tasks = {str(evaluation.made_from.task_name) for evaluation in evaluations}
     if len(tasks) != 1:
         raise ValueError(f"a table is of one task, and these runs are of {sorted(tasks)}")
     name = tasks.pop()
@@ -77,31 +74,21 @@ def reference_of(evaluations: Sequence[Mapping[str, Any]]) -> Reference:
     return reference
 
 
-def task_of(made_from: Mapping[str, Any]) -> str:
-    """The task that an evaluation is of, also of one that called it its environment."""
-    return str(made_from.get("task", made_from.get("env")))
-
-
 def _table(
-    evaluations: Sequence[Mapping[str, Any]], columns: Sequence[Column], reference: Reference
+    evaluations: Sequence[Evaluation], columns: Sequence[Column], reference: Reference
 ) -> str:
     rows = []
     for evaluation in evaluations:
-        made_from = evaluation["made_from"]
-        theirs = reference_row(reference, made_from["variant"], made_from.get("bc_weight")) or {}
-        row = [made_from["variant"], made_from["seed"], evaluation["episodes"]]
+        made_from = evaluation.made_from
+        theirs = reference_row(reference, made_from.variant, made_from.bc_weight) or {}
+        row: list[object] = [made_from.variant, made_from.seed, evaluation.episodes]
         for column in columns:
-            if column.key not in evaluation:
+            if column.key not in evaluation.content:
                 raise ValueError(
-                    f"{made_from['run']}: its evaluation has no {column.key!r}; only runs of the "
+                    f"{made_from.run}: its evaluation has no {column.key!r}; only runs of the "
                     "same task have a place in its tables."
                 )
-            value = evaluation[column.key]
-            if value is not None and not is_number(value):
-                raise ValueError(
-                    f"{made_from['run']}: its evaluation's {column.key} is {value!r:.40}, expected "
-                    "a number; make it again with: make eval"
-                )
+            value = evaluation.figure(column.key)
             interval = over_episodes(evaluation, column)
             ours = cell(column, None) if value is None else with_interval(column, value, interval)
             row.append(f"{ours} / {cell(column, theirs.get(column.key))}")
@@ -110,19 +97,19 @@ def _table(
     return tabulate(rows, headers=headers, tablefmt="github")
 
 
-def over_episodes(evaluation: Mapping[str, Any], column: Column) -> tuple[float, float] | None:
+def over_episodes(evaluation: Evaluation, column: Column) -> tuple[float, float] | None:
     """95 % interval of a figure over the episodes of an evaluation; None where none can be told.
 
     Wilson's of a share, the normal one of the return. It says nothing about other seeds.
     """
-    value, episodes = evaluation.get(column.key), int(evaluation["episodes"])
+    value, episodes = evaluation.figure(column.key), evaluation.episodes
     if value is None:
         return None
     if column.percent:
         return wilson(np.arange(episodes) < round(episodes * value))
-    if column.key == RETURN and evaluation.get("return_std") is not None:
-        half = NORMAL_95 * float(evaluation["return_std"]) / math.sqrt(episodes)
-        return float(value) - half, float(value) + half
+    if column.key == RETURN and evaluation.return_std is not None:
+        half = NORMAL_95 * evaluation.return_std / math.sqrt(episodes)
+        return value - half, value + half
     return None
 
 

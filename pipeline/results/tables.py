@@ -50,14 +50,13 @@ def render_summary(rows: Sequence[ResultRow], reference: Reference) -> str:
 
 def _mean(row: ResultRow, key: str) -> float | None:
     """Over seeds; None if an evaluation does not tell."""
-    if any(seed.evaluation.get(key) is None for seed in row.seeds):
-        return None
-    return fmean(row.figures(key))
+    figures = row.figures(key)
+    return fmean(figures) if figures else None
 
 
 def _theirs(row: ResultRow, column: Column, reference: Reference) -> str:
-    made_from = row.seeds[0].evaluation["made_from"]
-    theirs = reference_row(reference, made_from["variant"], made_from.get("bc_weight")) or {}
+    made_from = row.seeds[0].evaluation.made_from
+    theirs = reference_row(reference, made_from.variant, made_from.bc_weight) or {}
     return cell(column, theirs.get(column.key))
 
 
@@ -74,11 +73,11 @@ def _headers(columns: Sequence[Column]) -> list[str]:
 
 
 def _cell(row: ResultRow, column: Column, reference: Reference) -> str:
-    key, theirs = column.key, _theirs(row, column, reference)
-    if any(seed.evaluation.get(key) is None for seed in row.seeds):
+    figures, theirs = row.figures(column.key), _theirs(row, column, reference)
+    if not figures:
         return f"- / {theirs}"
-    if len(row.seeds) == 1:  # an interval would pretend that there are others
-        return f"{cell(column, row.figures(key)[0])} / {theirs}"
-    estimate: Estimate = interquartile_means({row.name: [[v] for v in row.figures(key)]})[row.name]
+    if len(figures) == 1:  # an interval would pretend that there are others
+        return f"{cell(column, figures[0])} / {theirs}"
+    estimate: Estimate = interquartile_means({row.name: [[v] for v in figures]})[row.name]
     low, high = (cell(column, float(bound[0])) for bound in (estimate.low, estimate.high))
     return f"{cell(column, float(estimate.iqm[0]))} [{low}, {high}] / {theirs}"

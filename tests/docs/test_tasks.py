@@ -13,6 +13,7 @@ from docs.site import cells, curves, task_tables
 from docs.site.page import Page
 from docs.site.places import DOCS
 from pipeline.results.cells import CONDITIONS, Cell, save_cells
+from pipeline.results.evaluation import Evaluation
 from pipeline.results.rows import Seed
 
 OURS = ("door", "hammer", "pen", "relocate")
@@ -44,7 +45,7 @@ def cell(
         {"frames": frames, "success_once": None if once is None else score, "return_mean": score}
         for frames, score in ((0, 0.0), (100, 0.9))
     )
-    run = Seed(evaluation | told, curve, ())
+    run = Seed(Evaluation.of(evaluation | told), curve, ())
     return Cell(task, reward, row, dict.fromkeys(CONDITIONS) | conditions, run)
 
 
@@ -91,7 +92,8 @@ def test_dense_and_sparse_stand_beside_each_other_and_what_is_missing_is_a_dash(
 
 
 def test_what_a_cell_cost_stands_below(publish: Publish):
-    ways = {"shares": {"held": 0.25, "grasp": 0.75}}
+    none: dict[str, Any] = {"words": {}, "thresholds": {}, "sensitivity": {}}
+    ways = {"shares": {"held": 0.25, "grasp": 0.75}, **none}
     publish(cell("hammer", "bc", strategies=ways), cell("hammer", "bc", reward="sparse"))
     head, line = section("hammer")[2:]
     assert dict(zip(head, line, strict=True)) == {
@@ -110,7 +112,7 @@ def test_what_a_cell_cost_stands_below(publish: Publish):
 
 def test_somebody_s_policy_stands_below_ours(publish: Publish, tmp_path: Path):
     publish(cell("hammer", "bc"))
-    figures = dict(cell("hammer", "bc", once=1.0).run.evaluation)
+    figures = dict(cell("hammer", "bc", once=1.0).run.evaluation.content)
     (tmp_path / "tasks" / "reference.json").write_text(
         json.dumps({"tasks": {"hammer": {"sparse": figures}}})
     )

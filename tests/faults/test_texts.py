@@ -73,9 +73,9 @@ EVALUATED = {
 
 def test_an_evaluation_is_read_as_it_was_written(tmp_path: Path):
     save_evaluation(tmp_path / EVALUATION, EVALUATED)
-    assert load_evaluation(tmp_path) == EVALUATED
+    assert load_evaluation(tmp_path).content == EVALUATED
     (tmp_path / EVALUATION).write_text(json.dumps(EVALUATED))  # as before there were checksums
-    assert load_evaluation(tmp_path) == EVALUATED
+    assert load_evaluation(tmp_path).content == EVALUATED
 
 
 def test_another_figure_is_refused(tmp_path: Path):

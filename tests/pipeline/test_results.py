@@ -24,12 +24,14 @@ from pipeline.files.run_files import EVALUATION, RunDirectoryError
 from pipeline.policy import WEIGHTS, load_policy
 from pipeline.results import statistics
 from pipeline.results.curves import on_grid
+from pipeline.results.evaluation import Evaluation
 from pipeline.results.export import export_policy, exported_seed
 from pipeline.results.publish import publish
 from pipeline.results.rows import ResultRow, Seed, load_published, load_rows, merge_rows
 from pipeline.results.statistics import interquartile_means, over_tasks
 from pipeline.results.tables import render_summary
 from pipeline.run_dir import load_recipe
+from tests.pipeline.results.evaluated import evaluation_of
 from tests.pipeline.toys import tiny_config
 
 
@@ -170,13 +172,13 @@ def test_the_summary_is_the_mean_over_seeds_beside_the_paper_s_number():
             name,
             tuple(
                 Seed(
-                    {
-                        "return_mean": value,
-                        "share_gt_1_35": share,
-                        "success_at_end": share / 2,
+                    evaluation_of(
+                        {"seed": seed, "variant": variant},
+                        return_mean=value,
+                        share_gt_1_35=share,
+                        success_at_end=share / 2,
                         **shares,
-                        "made_from": {"seed": seed, "variant": variant},
-                    },
+                    ),
                     (),
                     (),
                 )
@@ -217,9 +219,9 @@ def test_the_card_of_a_policy_says_how_it_acted(
     action: dict, said: str, runs: Path, tmp_path: Path
 ):
     (row,) = (row for row in load_rows(runs) if row.name == "bc")
-    evaluation = dict(row.seeds[0].evaluation)
+    evaluation = row.seeds[0].evaluation.content
     made_from = {k: v for k, v in evaluation["made_from"].items() if k != "noise_scale"}
-    seed = Seed({**evaluation, "made_from": {**made_from, **action}}, (), ())
+    seed = Seed(Evaluation.of({**evaluation, "made_from": {**made_from, **action}}), (), ())
     export_policy(seed, runs / "bc" / "seed0", tmp_path / "bc", name="bc")
     assert said in (tmp_path / "bc" / "README.md").read_text()
 
@@ -233,8 +235,8 @@ def test_published_weights_of_another_size_are_refused(published: Path):
 
 def test_the_seed_in_the_middle_by_return_comes_first():
     row = ResultRow("five", tuple(seed_with(n, r) for n, r in enumerate((50, 10, 40, 20, 30))))
-    assert row.seeds_by_distance_to_median[0].evaluation["return_mean"] == 30
-    nearest = {seed.evaluation["return_mean"] for seed in row.seeds_by_distance_to_median[:3]}
+    assert row.seeds_by_distance_to_median[0].evaluation.return_mean == 30
+    nearest = {seed.evaluation.return_mean for seed in row.seeds_by_distance_to_median[:3]}
     assert nearest == {20, 30, 40}
 
 
@@ -243,7 +245,7 @@ def test_the_seed_in_the_middle_by_return_comes_first():
 
 def seed_with(number: int, value: float, **made_from: object) -> Seed:
     origin = {"seed": number, "run": f"seed{number}", "demos": "d.h5", **made_from}
-    return Seed({"return_mean": value, "made_from": origin}, (), ())
+    return Seed(evaluation_of(origin, return_mean=value), (), ())
 
 
 @pytest.fixture

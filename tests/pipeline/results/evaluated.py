@@ -10,6 +10,7 @@ from typing import Any
 from pipeline.files.run_files import EVALUATION, LEARNING_CURVE, VERSIONS
 from pipeline.files.time_use import TIME_USE
 from pipeline.recipe import Recipe
+from pipeline.results.evaluation import Evaluation
 from pipeline.results.evaluation_files import save_evaluation
 from pipeline.run_dir import save_recipe
 
@@ -55,6 +56,12 @@ def made_from(given: Recipe, run_dir: Path) -> dict[str, Any]:
         "overrides": [f"task.name='{given.task.name}'"],
         "versions": dict(REVISION),
     }
+
+
+def evaluation_of(made_from: Mapping[str, Any], **figures: Any) -> Evaluation:
+    """Of a run of which only that is said which a test asks for."""
+    needed = {"run": "runs/x", "variant": "bc", "seed": 0}
+    return Evaluation.of({"episodes": 100, **figures, "made_from": {**needed, **made_from}})
 
 
 def evaluated(run_dir: Path, given: Recipe | None = None, **figures: Any) -> Path:

@@ -15,12 +15,13 @@ from pipeline.files.run_files import CONFIG, EVALUATION, LEARNING_CURVE, VERSION
 from pipeline.files.time_use import TIME_USE
 from pipeline.results.cells import Cell, load_cells, merge_cells, save_cells, without_places
 from pipeline.results.demonstrators import Demonstrators, demonstrators, read_listed
+from pipeline.results.evaluation import MadeFrom
 from pipeline.results.evaluation_files import save_evaluation
 from pipeline.results.publish import has_tables
 from pipeline.results.publish_cells import publish_cells, read_cells
 from pipeline.results.run_cells import find_runs, read_cell
 from pipeline.results.run_tables import row_name
-from tests.pipeline.results.evaluated import REVISION, evaluated, made_from, recipe
+from tests.pipeline.results.evaluated import REVISION, evaluated, evaluation_of, made_from, recipe
 from tests.pipeline.toys import write_demos
 
 LISTED = {"b" * 64: Demonstrators("robot", 25)}
@@ -61,9 +62,9 @@ def test_a_cell_that_is_published_is_read_as_it_was(tmp_path: Path):
         "git": "a" * 40,
         "trained_with": REVISION,
     }
-    assert cell.run.evaluation["success_once"] == 0.9
-    assert cell.run.evaluation["success_share"] == 0.25
-    assert cell.run.evaluation["made_from"]["demos"] == "demos.pickle"
+    assert cell.run.evaluation.success_once == 0.9
+    assert cell.run.evaluation.success_share == 0.25
+    assert cell.run.evaluation.made_from.demos == "demos.pickle"
     assert [row["return_mean"] for row in cell.run.curve] == [1.0, 3.0]
     assert cell.run.curve[1]["stages"] == {"near": 1.0}
 
@@ -76,9 +77,9 @@ def test_tasks_with_other_stages_and_rewards_share_the_file(tmp_path: Path):
     ]
     publish_cells([read(run) for run in runs], tmp_path / "out")
     found = {cell.keys[:2]: cell.run.evaluation for cell in load_cells(file_of(tmp_path / "out"))}
-    assert found["hammer", "dense"]["stages"] == {"near": 1.0}
-    assert found["hammer", "sparse"]["stages"] == {"far": 0.0}
-    assert found["gymnasium:Hopper-v5", "own"]["success_once"] is None
+    assert found["hammer", "dense"].stages == {"near": 1.0}
+    assert found["hammer", "sparse"].stages == {"far": 0.0}
+    assert found["gymnasium:Hopper-v5", "own"].success_once is None
 
 
 def test_the_file_names_no_place_on_this_machine(tmp_path: Path):
@@ -99,7 +100,7 @@ def test_cells_are_added_and_a_seed_that_is_run_again_is_replaced(tmp_path: Path
     again = read(evaluated(tmp_path / "b", return_mean=5.0))
     other = read(evaluated(tmp_path / "c", recipe(seed=1)))
     publish_cells([again, other], out)
-    found = {cell.run.seed: cell.run.evaluation["return_mean"] for cell in load_cells(file_of(out))}
+    found = {cell.run.seed: cell.run.evaluation.return_mean for cell in load_cells(file_of(out))}
     assert found == {0: 5.0, 1: 3.0}
 
 
@@ -232,18 +233,23 @@ def test_a_file_of_before_lacks_a_column(tmp_path: Path):
 # ---------------------------------------------------------------------------- who demonstrated
 
 
+def asking(**told: str) -> MadeFrom:
+    """What an evaluation was made from, as far as it tells demonstrations."""
+    return evaluation_of(told).made_from
+
+
 def test_a_recording_of_ours_says_that_a_robot_made_it_and_how_much(tmp_path: Path):
     source = write_demos(tmp_path / "demos.h5")
-    asked = {"demos": str(source), "demos_sha256": "c" * 64}
+    asked = asking(demos=str(source), demos_sha256="c" * 64)
     assert demonstrators(asked, None, LISTED) == Demonstrators()  # its card does not tell
     with h5py.File(source, "r+") as file:
         file.attrs["card"] = json.dumps({"kept": 2})
     assert demonstrators(asked, None, LISTED) == Demonstrators("robot", 2)
-    assert demonstrators({"demos": str(tmp_path / "gone.h5")}, None, {}) == Demonstrators()
+    assert demonstrators(asking(demos=str(tmp_path / "gone.h5")), None, {}) == Demonstrators()
 
 
 def test_the_first_so_many_of_a_listed_file_were_taken():
-    asked = {"demos": "x.pickle", "demos_sha256": "b" * 64}
+    asked = asking(demos="x.pickle", demos_sha256="b" * 64)
     assert demonstrators(asked, None, LISTED) == Demonstrators("robot", 25)
     assert demonstrators(asked, 10, LISTED) == Demonstrators("robot", 10)
     assert demonstrators(asked, 99, LISTED) == Demonstrators("robot", 25)

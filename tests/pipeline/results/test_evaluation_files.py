@@ -27,7 +27,7 @@ from pipeline.results.evaluation_files import (
     load_evaluation,
     progress_columns,
 )
-from tests.pipeline.results.evaluated import evaluated
+from tests.pipeline.results.evaluated import evaluated, evaluation_of
 from tests.pipeline.toys import tiny_config, where
 
 NAN = float("nan")
@@ -188,6 +188,22 @@ def test_so_is_one_with_an_origin_that_no_reader_could_use(
         load_evaluation(changed(path, {"made_from": origin | wrong}))
 
 
+def test_a_figure_of_the_task_s_own_is_a_number_or_not_told():
+    told = evaluation_of({}, share_gt_1_35=1, angle_mean_deg=None, stages={"near": 0.5})
+    assert told.figure("share_gt_1_35") == 1.0
+    assert told.figure("angle_mean_deg") is None
+    assert told.figure("nothing") is None
+    with pytest.raises(ValueError, match=r"runs/x: its evaluation's stages is \{.*make eval"):
+        told.figure("stages")
+
+
+def test_a_figure_that_the_door_called_otherwise_has_its_name_of_today():
+    key = "steps_to_success_median"
+    assert evaluation_of({}, steps_to_open_median=41.0).figure(key) == 41.0
+    both = evaluation_of({}, steps_to_open_median=41.0, steps_to_success_median=60.0)
+    assert both.figure(key) == 60.0
+
+
 def changed(path: Path, values: dict[str, Any]) -> Path:
     """The evaluation with other values, as from before there were checksums."""
     content = json.loads(path.read_text()) | values
@@ -198,7 +214,7 @@ def changed(path: Path, values: dict[str, Any]) -> Path:
 
 @pytest.mark.parametrize("path", PUBLISHED, ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_every_published_evaluation_can_be_read(path: Path):
-    assert load_evaluation(path)["episodes"] > 0
+    assert load_evaluation(path).episodes > 0
 
 
 def test_make_eval_writes_them_beside_the_summary(tmp_path: Path, demos: Path):

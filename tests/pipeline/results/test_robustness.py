@@ -111,6 +111,26 @@ def test_a_figure_is_drawn(tmp_path: Path):
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"bar": "high"}, "its bar is 'high': .* valid number"),
+        ({"episodes": 2.5}, r"its episodes is 2\.5: .* valid integer"),
+        ({"undisturbed": {"setting": "none", "success": 7}}, r"its undisturbed\.success is 7"),
+        ({"ladders": [{"kind": "delay", "what": "x"}]}, r"it has no ladders\.0\.settings"),
+    ],
+)
+def test_a_value_that_no_reader_could_use_is_named_with_its_key(
+    tmp_path: Path, wrong: dict[str, object], told: str
+):
+    found().write(tmp_path)
+    path = tmp_path / ROBUSTNESS
+    path.write_text(json.dumps(json.loads(path.read_text()) | wrong))
+    with pytest.raises(RunDirectoryError, match=rf"{ROBUSTNESS} is damaged \({told}") as refused:
+        Robustness.read(path)
+    assert "\n" not in str(refused.value)
+
+
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"bar": 1, "ladders": 3}'])
 def test_a_damaged_file_is_named(tmp_path: Path, text: str):
     (tmp_path / ROBUSTNESS).write_text(text)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from envs.door.paper import PAPER, TABLE_1, TABLE_2
+from pipeline.results.evaluation import Evaluation
 from pipeline.results.run_tables import reference_of, reference_row, render
+from tests.pipeline.results.evaluated import evaluation_of
 
 # As the paper prints them: return, angle, angle without failures; shares in per cent.
 TABLE_I = """
@@ -23,10 +25,10 @@ DA-SAC                46.0    5.2  11.0
 """
 
 
-def evaluation(variant: str = "dbc_sac", **changes) -> dict:
+def evaluation(variant: str = "dbc_sac", **changes) -> Evaluation:
     columns = dict.fromkeys([c.key for table in PAPER.tables.values() for c in table], 0.5)
-    made_from = {"run": "runs/x", "variant": variant, "seed": 3, "bc_weight": 1.0, "task": "door"}
-    return {"episodes": 1000, "made_from": made_from} | columns | changes
+    made_from = {"variant": variant, "seed": 3, "bc_weight": 1.0, "task": "door"}
+    return evaluation_of(made_from, **({"episodes": 1000} | columns | changes))
 
 
 def cells(text: str, variant: str) -> list[list[str]]:
@@ -120,12 +122,12 @@ def test_other_variants_have_their_row_whatever_lambda(variant: str):
 
 
 def test_an_evaluation_of_another_task_is_refused():
-    pendulum = {"episodes": 5, "return_mean": -900.0, "made_from": evaluation()["made_from"]}
+    pendulum = evaluation_of({}, return_mean=-900.0)
     with pytest.raises(ValueError, match="runs/x: its evaluation has no 'angle_mean_deg'"):
         render([pendulum], PAPER)
 
 
-@pytest.mark.parametrize("value", ["much", [1.0], 10**400], ids=["text", "list", "huge"])
+@pytest.mark.parametrize("value", ["much", [1.0], True], ids=["text", "list", "truth"])
 def test_a_figure_of_the_task_that_is_no_number_is_named(value: object):
     with pytest.raises(ValueError, match=r"runs/x: its evaluation's angle_mean_deg is .*a number"):
         render([evaluation(angle_mean_deg=value)], PAPER)
@@ -133,9 +135,9 @@ def test_a_figure_of_the_task_that_is_no_number_is_named(value: object):
 
 def test_a_table_is_of_one_task_that_has_published_rows():
     assert reference_of([evaluation(), evaluation("bc")]) is PAPER
-    older = {"made_from": {"env": "door"}}  # of when tasks were called environments
+    older = evaluation_of({"env": "door"})  # of when tasks were called environments
     assert reference_of([older]) is PAPER
-    pendulum = {"made_from": {"task": "gymnasium:Pendulum-v1"}}
+    pendulum = evaluation_of({"task": "gymnasium:Pendulum-v1"})
     with pytest.raises(ValueError, match=r"of one task, and these runs are of .*Pendulum"):
         reference_of([evaluation(), pendulum])
     with pytest.raises(
