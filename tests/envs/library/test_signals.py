@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import logging
 
+import numpy as np
 import pytest
 import torch
 
+from envs.demonstrations import DemoOptions, load_demonstrations
 from envs.options import TaskOptions
 from tests.envs.library.making import make, task
 
@@ -97,6 +99,24 @@ def test_functions_of_a_file(functions):
     assert schema.success(rows).tolist() == [False, True]
     assert schema.progress(rows).tolist() == pytest.approx([0.1, 0.2])
     assert schema.step_reward(rows[:1], rows[:1, :1] * 0, rows[1:]).tolist() == [102.0]
+
+
+@pytest.mark.parametrize("resimulate", [True, False])
+@pytest.mark.parametrize("recorded", [None, 7.0])
+def test_recordings_that_cannot_be_replayed_are_paid_by_the_function_too(
+    functions, tmp_path, recorded, resimulate
+):
+    """Times 0 to 3 and actions of 1.5, which are 0.5 of policies; no seed says where they begin."""
+    file = tmp_path / "d.npz"
+    seen = np.stack([np.full(4, 5.0), np.arange(4.0), np.zeros(4)], axis=-1)
+    arrays = {"observations": seen, "actions": np.full((3, 1), 1.5)}
+    if recorded is not None:
+        arrays["rewards"] = np.full(3, recorded)
+    np.savez(file, **arrays)
+    found = task("Clock", reward=f"{functions}:pay")
+    loaded = load_demonstrations(file, found, DemoOptions(resimulate=resimulate))
+    assert loaded.episodes[0].provenance.kind == "recorded"
+    assert loaded.episodes[0].rewards.tolist() == [6.0, 107.0, 208.0]
 
 
 @pytest.mark.parametrize(
