@@ -25,7 +25,7 @@ STEPS: Final = 4
 PICTURES_PER_SECOND: Final = 30.0
 """Of environments that do not say how many."""
 SEARCHED: Final = 2000
-"""Steps at most for a key of ``info`` that was asked for: some are told at an episode's end."""
+"""Steps at most of random actions in which a key of ``info``, or a time limit, is looked for."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Probed:
 
     Attributes:
         interface: how it is read and driven.
-        limit: steps until it truncates an episode; None if it never does.
+        limit: steps until it truncates an episode, as far as it says so; None if it does not.
         step_s: what a step costs.
         start: how an episode is put where a recorded one began; None if it cannot be.
         shows: what it can be asked to show, ``rgb_array`` or ``human`` among them.
@@ -80,6 +80,36 @@ def probe(single: SingleEnv) -> Probed:
         )
 
 
+def truncates_after(single: SingleEnv) -> int | None:
+    """Steps after which an environment without a limit that can be seen truncates its episodes.
+
+    Random actions are taken until two episodes are truncated, or `SEARCHED` steps are over. None
+    unless the truncated ones are of one length, and none was longer: an environment that truncates
+    only on leaving some bounds may go on for ever without.
+
+    Raises:
+        TaskFailedError: it raised.
+    """
+    name, env = single.name, single()
+    lengths: list[int] = []
+    elapsed, longest = 0, 0
+    with _closed(name, env), quiet(name):
+        env.action_space.seed(0)
+        _tried(name, lambda: calls.reset(env, seed=0))
+        for _ in range(SEARCHED):
+            _, _, terminated, truncated, _ = _random_step(name, env)
+            elapsed += 1
+            longest = max(longest, elapsed)
+            if truncated:
+                lengths.append(elapsed)
+                if len(lengths) == 2:
+                    break
+            if terminated or truncated:
+                _tried(name, lambda: calls.reset(env))
+                elapsed = 0
+    return longest if lengths and set(lengths) == {longest} else None
+
+
 @contextlib.contextmanager
 def _closed(name: str, env: Env) -> Iterator[None]:
     """Closes ``env`` in the end; of several errors the first counts."""
@@ -121,8 +151,7 @@ def _require_told(name: str, env: Env, key: str, wanted: str, told: frozenset[st
     seen = set(told)
     _tried(name, lambda: calls.reset(env, seed=0))
     for _ in range(SEARCHED):
-        step = partial(calls.step, env, env.action_space.sample())
-        _, _, terminated, truncated, info = _tried(name, step)
+        _, _, terminated, truncated, info = _random_step(name, env)
         seen |= set(info)
         if wanted in info:
             return
@@ -133,6 +162,11 @@ def _require_told(name: str, env: Env, key: str, wanted: str, told: frozenset[st
         f"{key}=info:{wanted}: task {name} never told {wanted!r} in a whole episode; its info "
         f"holds {found} (success is found by itself under {' or '.join(FOUND)})"
     )
+
+
+def _random_step(name: str, env: Env) -> calls.Stepped:
+    stepped: calls.Stepped = _tried(name, partial(calls.step, env, env.action_space.sample()))
+    return stepped
 
 
 def _resumes(name: str, env: Env) -> bool:
