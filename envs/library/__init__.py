@@ -91,8 +91,9 @@ def _task(single: SingleEnv) -> Task:
     make_env = Batched(single, found)
     if found.interface.success is None:
         _logger.warning(
-            "task %s tells no success (no info['success'] or info['is_success']): evaluations have "
-            "returns only; task.success= can tell it", single.name,
+            "task %s tells no success (no info['success'] or info['is_success'] in an episode of "
+            "random actions): evaluations have returns only; task.success= can tell it",
+            single.name,
         )  # fmt: skip
     # A replay ends with its recording, whatever limit a run sets.
     horizon = ENDLESS if found.limit is None else None

@@ -146,7 +146,8 @@ class EndsItself(gymnasium.Env):
     def step(self, _action: Any) -> Any:
         self.t += 1
         ended = self.t == self.limits[min(self.episode, len(self.limits) - 1)]
-        return np.full(1, self.t), 0.0, False, ended, {"is_success": self.good} if ended else {}
+        info = {"time": self.t} | ({"is_success": self.good} if ended else {})
+        return np.full(1, self.t), 0.0, False, ended, info
 
 
 class InnerLimit(ClockToy):
