@@ -62,8 +62,9 @@ class DemoOptions:
     """What is done to demonstrations on loading.
 
     Attributes:
-        resimulate: replay the actions in the task from its own starts. Otherwise the recorded
-            observations are used, with the task's reward where it can be computed.
+        resimulate: replay the actions in the task from its own starts. Otherwise, and of episodes
+            that hold no start, the recorded observations are used, with the task's reward where
+            it can be computed.
         multiply: make many episodes out of few; None does not.
         limit: use the first so many episodes of the source only.
         keep_best: share of the episodes, after multiplication, to keep: those of highest return.
@@ -124,7 +125,8 @@ def load_demonstrations(
         resimulate = task.require("resimulate", "demos.resimulate=true")
         recorded, used = _replayed(recorded, resimulate, num_threads, notes, refused)
     else:
-        used = [_relabelled(episode, schema) for episode in recorded]
+        used = recorded
+    used = [_relabelled(episode, schema) for episode in used]
     _require_rewards(used)
     reports = tuple(report_episode(r, u, schema) for r, u in zip(recorded, used, strict=True))
     for report in reports:
@@ -171,7 +173,12 @@ def _replayed(
 
 
 def _relabelled(episode: Episode, schema: DemoSchema) -> Episode:
-    """With the task's reward: files follow other formulas, and one buffer must hold one reward."""
+    """With the task's reward: files follow other formulas, and one buffer must hold one reward.
+
+    A replay has it already; tasks may leave episodes that they cannot begin as they were recorded.
+    """
+    if episode.provenance.kind == "resimulated":
+        return episode
     before, after = episode.observations[:-1], episode.observations[1:]
     if schema.step_reward is not None:
         rewards: Any = schema.step_reward(before, episode.played_actions.clip(-1.0, 1.0), after)

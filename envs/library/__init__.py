@@ -15,7 +15,7 @@ from envs.library.copies import Buffers, Copies
 from envs.library.files import FORM, offered, resolved
 from envs.library.layers import time_limit
 from envs.library.pictures import render_of
-from envs.library.probe import Probed, probe
+from envs.library.probe import SEARCHED, Probed, probe, truncates_after
 from envs.library.resimulation import Resimulation
 from envs.library.single import SingleEnv
 from envs.library.starts import SEED, seeds
@@ -38,6 +38,10 @@ DEFAULTS: Final = MappingProxyType({"preset/default": MappingProxyType({"env.num
 
 _FOUND: Final[dict[str, Task]] = {}
 """By everything that makes a task what it is: making and trying a copy may take seconds."""
+
+
+_OWN_LIMITS: Final[dict[str, int | None]] = {}
+"""Of environments that truncate by themselves, by the same: the search may take seconds."""
 
 
 def find(library: str, wanted: str, options: TaskOptions) -> Task:
@@ -87,8 +91,9 @@ def _task(single: SingleEnv) -> Task:
     make_env = Batched(single, found)
     if found.interface.success is None:
         _logger.warning(
-            "task %s tells no success (no info['success'] or info['is_success']): evaluations have "
-            "returns only; task.success= can tell it", single.name,
+            "task %s tells no success (no info['success'] or info['is_success'] in an episode of "
+            "random actions): evaluations have returns only; task.success= can tell it",
+            single.name,
         )  # fmt: skip
     # A replay ends with its recording, whatever limit a run sets.
     horizon = ENDLESS if found.limit is None else None
@@ -145,10 +150,10 @@ class Batched:
 
     def _require_end(self, horizon: int | None) -> None:
         limit = self.found.limit
-        if horizon is None and limit is None:
+        if horizon is None and limit is None and _own_limit(self.single) is None:
             raise ValueError(
-                f"task {self.single.name} has no time limit, so an episode may never end: "
-                "set one (env.horizon=N, in steps)"
+                f"task {self.single.name} has no time limit (none was seen in {SEARCHED} steps "
+                "of random actions), so an episode may never end: set one (env.horizon=N, in steps)"
             )
         if horizon is None or limit is None or horizon <= limit:
             return
@@ -169,6 +174,14 @@ class Batched:
         if self.found.step_s < WORTH_A_PROCESS_S or options.num_envs == 1 or cores == 1:
             return 0
         return min(cores, options.num_envs)
+
+
+def _own_limit(single: SingleEnv) -> int | None:
+    if repr(single) not in _OWN_LIMITS:
+        _OWN_LIMITS[repr(single)] = limit = truncates_after(single)
+        if limit is not None:
+            _logger.info("task %s: episodes end after %d steps by themselves", single.name, limit)
+    return _OWN_LIMITS[repr(single)]
 
 
 def _schema(name: str, found: Probed) -> DemoSchema:

@@ -56,6 +56,16 @@ class Signal:
     of_observations: Callable[[Array], Array] | None = None
 
 
+def info_keys(options: TaskOptions) -> dict[str, str]:
+    """Keys of ``info`` that options ask for, by the option."""
+    asked = {"task.success": options.success, "task.progress": options.progress}
+    return {
+        option: wanted.removeprefix(INFO)
+        for option, wanted in asked.items()
+        if wanted is not None and wanted.startswith(INFO)
+    }
+
+
 def success_signal(wanted: str | None, told: frozenset[str]) -> Signal | None:
     """The signal that ``task.success`` asks for.
 
@@ -116,6 +126,7 @@ def reward_function(options: TaskOptions) -> Callable[[Array, Array, Array], Arr
 
 
 def _info_flag(key: str) -> Signal:
+    # Many environments tell it only in an episode's last step: until then, not yet.
     return Signal(lambda steps: np.nan_to_num(steps.info[key], nan=0.0) != 0.0, info=key)
 
 

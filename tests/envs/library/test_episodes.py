@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import mmap
 
 import psutil
@@ -41,9 +42,29 @@ def test_the_horizon_extends(name, own):
 
 
 def test_without_a_time_limit_a_horizon_is_needed():
-    with pytest.raises(ValueError, match=r"Toys/Endless-v0 has no time limit.*env\.horizon=N"):
+    with pytest.raises(ValueError, match=r"Toys/Endless-v0 has no time limit .*env\.horizon=N"):
         make("Endless")
     assert lengths(make("Endless", horizon=3), 7) == [3, 6]
+
+
+def test_an_environment_that_truncates_by_itself_needs_no_horizon(caplog):
+    with caplog.at_level(logging.INFO, "envs.library"):
+        env = make("EndsItself")
+    assert lengths(env, 65) == [30, 60]
+    assert "EndsItself-v0: episodes end after 30 steps by themselves" in caplog.text
+    assert lengths(make("EndsItself", horizon=20), 45) == [20, 40]
+
+
+def test_a_limit_may_take_most_of_the_search():
+    """Of 2,000 steps; a second episode is not seen to its end."""
+    assert lengths(make("EndsItself", TaskOptions(kwargs={"limits": [1900]})), 1901) == [1900]
+
+
+@pytest.mark.parametrize("limits", [[0], [2001], [30, 50], [50, 30], [30, 0]])
+def test_what_does_not_always_truncate_after_as_many_steps_needs_a_horizon(limits):
+    """A truncation on leaving some bounds, say: other episodes may go on for ever."""
+    with pytest.raises(ValueError, match=r"EndsItself-v0 has no time limit.*env\.horizon=N"):
+        make("EndsItself", TaskOptions(kwargs={"limits": limits}))
 
 
 def test_a_limit_inside_cannot_be_extended():

@@ -1,10 +1,16 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 
+import numpy as np
 import pytest
 import torch
+from gymnasium.envs.classic_control.pendulum import PendulumEnv
 
+from envs.demonstrations import DemoOptions, load_demonstrations
+from envs.library.probe import probe
+from envs.library.single import SingleEnv
 from envs.options import TaskOptions
 from tests.envs.library.making import make, task
 
@@ -40,6 +46,37 @@ FROM_3 = [False, False, False, True, True]
 )
 def test_success(options, expected):
     assert told("success", 4, **options) == expected
+
+
+@pytest.mark.parametrize("options", [{}, {"success": "info:is_success"}, {"progress": "info:time"}])
+@pytest.mark.parametrize("name", ["EndsItself", "EndsLater"])
+def test_success_that_is_told_only_in_the_last_step_is_false_before(name, options):
+    env = make(name, TaskOptions(**options), num_envs=8)
+    steps = env.rollout(30, break_when_any_done=False)
+    assert not steps["success"].any()
+    assert not steps["next", "success"][:, :29].any()
+    good = [copy.unwrapped.good for copy in env.copies.envs]
+    assert steps["next", "success"][:, 29, 0].tolist() == good
+    assert 0 < sum(good) < 8
+
+
+def test_success_that_no_random_action_brings_about_can_be_named(caplog):
+    """Many an environment tells it only in the step that succeeds; here, after the search."""
+    options = {"kwargs": {"limits": [3000]}}
+    with caplog.at_level(logging.WARNING, "envs.library"):
+        env = make("EndsLater", TaskOptions(success="info:is_success", **options))
+    assert "told no 'is_success' in an episode of random actions" in caplog.text
+    assert not env.rollout(40)["next", "success"].any()
+    assert "success" not in make("EndsLater", TaskOptions(**options)).observation_spec.keys()  # noqa: SIM118 - a spec is not a mapping
+
+
+@pytest.mark.parametrize(("options", "least"), [({}, 0), ({"success": "info:nothing"}, 200)])
+def test_gymnasium_s_own_environments_are_searched_only_on_request(monkeypatch, options, least):
+    step, taken = PendulumEnv.step, []
+    monkeypatch.setattr(PendulumEnv, "step", lambda *of: taken.append(0) or step(*of))
+    with suppress(ValueError):
+        probe(SingleEnv("gymnasium", "Pendulum-v1", TaskOptions(**options)))
+    assert least <= len(taken) <= least + 50
 
 
 def test_success_by_termination():
@@ -97,6 +134,24 @@ def test_functions_of_a_file(functions):
     assert schema.success(rows).tolist() == [False, True]
     assert schema.progress(rows).tolist() == pytest.approx([0.1, 0.2])
     assert schema.step_reward(rows[:1], rows[:1, :1] * 0, rows[1:]).tolist() == [102.0]
+
+
+@pytest.mark.parametrize("resimulate", [True, False])
+@pytest.mark.parametrize("recorded", [None, 7.0])
+def test_recordings_that_cannot_be_replayed_are_paid_by_the_function_too(
+    functions, tmp_path, recorded, resimulate
+):
+    """Times 0 to 3 and actions of 1.5, which are 0.5 of policies; no seed says where they begin."""
+    file = tmp_path / "d.npz"
+    seen = np.stack([np.full(4, 5.0), np.arange(4.0), np.zeros(4)], axis=-1)
+    arrays = {"observations": seen, "actions": np.full((3, 1), 1.5)}
+    if recorded is not None:
+        arrays["rewards"] = np.full(3, recorded)
+    np.savez(file, **arrays)
+    found = task("Clock", reward=f"{functions}:pay")
+    loaded = load_demonstrations(file, found, DemoOptions(resimulate=resimulate))
+    assert loaded.episodes[0].provenance.kind == "recorded"
+    assert loaded.episodes[0].rewards.tolist() == [6.0, 107.0, 208.0]
 
 
 @pytest.mark.parametrize(

@@ -124,6 +124,32 @@ class Otherwise(gymnasium.Env):
             raise RuntimeError("the window\nis gone")
 
 
+class EndsItself(gymnasium.Env):
+    """Truncates by itself; tells only in an episode's last step whether it is a success.
+
+    Its k-th episode lasts ``limits[k]`` steps, later ones as long as the last of these; 0 is for
+    ever. It observes its time; episodes whose first draw is below 0.5 succeed.
+    """
+
+    observation_space = spaces.Box(-np.inf, np.inf, (1,), np.float64)
+    action_space = BOX
+
+    def __init__(self, limits: Any = (30,)) -> None:
+        self.limits, self.episode = tuple(limits), -1
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        super().reset(seed=seed)
+        self.episode += 1
+        self.t, self.good = 0, bool(self.np_random.random() < 0.5)
+        return np.zeros(1), {}
+
+    def step(self, _action: Any) -> Any:
+        self.t += 1
+        ended = self.t == self.limits[min(self.episode, len(self.limits) - 1)]
+        info = {"time": self.t} | ({"is_success": self.good} if ended else {})
+        return np.full(1, self.t), 0.0, False, ended, info
+
+
 class InnerLimit(ClockToy):
     """Its own time limit cannot be seen from outside of the environment's own wrapper."""
 
@@ -151,4 +177,6 @@ gymnasium.register("Toys/Spaces-v0", SpacesToy, max_episode_steps=5)
 gymnasium.register("Toys/Clock-v0", ClockToy, max_episode_steps=30)
 gymnasium.register("Toys/Endless-v0", ClockToy)
 gymnasium.register("Toys/Inner-v0", limited)
+gymnasium.register("Toys/EndsItself-v0", EndsItself)
+gymnasium.register("Toys/EndsLater-v0", EndsItself, max_episode_steps=40)
 gymnasium.register("Toys/Otherwise-v0", Otherwise, max_episode_steps=30)
