@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Final
 
 import mujoco
@@ -83,3 +84,25 @@ PEN: Final = HandTask(
     contacts=CONTACTS,
     surfaces=SURFACES,
 )
+
+
+def palm(observation: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Palm (grasp site) positions in the world, m, shape ``[..., 3]`` from ``[..., 45]``.
+
+    No observation shows them: they follow from the joints of the wrist, on which the hand turns.
+    """
+    seen = np.asarray(observation, dtype=np.float64)
+    rows = seen.reshape(-1, seen.shape[-1])
+    model = _model()
+    data, site = mujoco.MjData(model), model.site("S_grasp").id
+    found = np.empty((len(rows), 3))
+    for i, row in enumerate(rows):
+        data.qpos[task.HAND_QPOS] = row[task.HAND_QPOS]
+        mujoco.mj_kinematics(model, data)
+        found[i] = data.site_xpos[site]
+    return found.reshape(*seen.shape[:-1], 3)
+
+
+@cache
+def _model() -> mujoco.MjModel:
+    return build_scene().model
