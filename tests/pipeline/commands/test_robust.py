@@ -32,6 +32,8 @@ def test_noise_and_delays_are_of_every_task_and_the_rest_of_those_that_say_so():
     assert door.count("mass") == 2  # more and less
     assert {"board_z", "nail_friction"} <= {plan.kind for plan in plans(find_task("hammer"))}
     assert {"ball_x", "target_z"} <= {plan.kind for plan in plans(find_task("relocate"))}
+    for task in ("hammer", "pen", "relocate"):
+        assert "finger_damping" in {plan.kind for plan in plans(find_task(task))}
 
 
 def test_a_policy_climbs_its_ladders(trained: Path, monkeypatch: pytest.MonkeyPatch):
