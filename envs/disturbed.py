@@ -61,9 +61,11 @@ class _Moved:
     def __call__(self, seed: int, first: int, count: int) -> TensorDict:
         found = self.starts(seed, first, count)
         edge = self.box.high[self.axis] if self.distance > 0 else self.box.low[self.axis]
-        places = found[self.box.key].clone()
-        places[:, self.axis] = edge + self.distance
-        return found.set(self.box.key, places)
+        places = found[self.box.key].cpu().numpy().copy()
+        numbers = places if self.box.numbers is None else self.box.numbers(places)
+        numbers[:, self.axis] = edge + self.distance
+        places = numbers if self.box.placed is None else self.box.placed(numbers)
+        return found.set(self.box.key, torch.from_numpy(places))
 
 
 @dataclass(frozen=True)
@@ -227,7 +229,8 @@ class DisturbedEnv(EnvBase):
             spans = {n: span for n, span in self.disturbance.outside.items() if n in box.names}
             if spans:
                 below, above = np.transpose([spans.get(name, (0.0, 0.0)) for name in box.names])
-                found[box.key] = rng.uniform(box.low + below, box.high + above)
+                drawn = rng.uniform(box.low + below, box.high + above)
+                found[box.key] = drawn if box.placed is None else box.placed(drawn)
         return found
 
     def get_extra_state(self) -> dict[str, torch.Tensor]:

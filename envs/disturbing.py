@@ -41,6 +41,9 @@ class Factor:
 class Box:
     """Where a thing stands at the start of an episode, drawn uniformly.
 
+    Where it stands is told by k numbers, which are what begins an episode unless ``placed`` says
+    otherwise: two angles, of which an orientation is made.
+
     Attributes:
         key: of the tensordict that begins an episode (`Task.starts`).
         low: corner [k].
@@ -50,6 +53,9 @@ class Box:
         most: the corner opposite.
         why: these are the limits.
         unit: of all.
+        placed: what begins an episode [..., p], of numbers of the box [..., k]; None: the same.
+        numbers: the other way round.
+        beyond: distances from an edge at which `make robust` lets things stand; None: its own.
     """
 
     key: str
@@ -60,6 +66,13 @@ class Box:
     most: tuple[float, ...]
     why: str
     unit: str = "m"
+    placed: Callable[[Floats], Floats] | None = None
+    numbers: Callable[[Floats], Floats] | None = None
+    beyond: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.placed is None) != (self.numbers is None):
+            raise ValueError(f"{self.key}: placed and numbers are given together")
 
 
 @dataclass(frozen=True)

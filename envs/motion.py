@@ -15,6 +15,9 @@ Floats = NDArray[np.floating]
 class Motion:
     """What a task offers so that its episodes can be compared as movements.
 
+    Both positions are from a point that stands still during an episode: the world's origin, or a
+    place of the task's own that observations are told from.
+
     Attributes:
         effector: position of what acts (a palm, a gripper) [..., 3] from observations [..., O], m.
         target: position of what it acts on, likewise.

@@ -30,10 +30,20 @@ def scale_contact_friction(model: mujoco.MjModel, factor: float) -> None:
 
 def scale_finger_gain(model: mujoco.MjModel, factor: float) -> None:
     """Stiffness of the fingers' servos: their force a rad from the target."""
-    first, last = (model.actuator(name).id for name in FINGERS)
-    chosen = slice(first, last + 1)
+    chosen = _finger_actuators(model)
     model.actuator_gainprm[chosen, 0] *= factor
     model.actuator_biasprm[chosen, 1] *= factor
+
+
+def scale_finger_damping(model: mujoco.MjModel, factor: float) -> None:
+    """Damping of the fingers' joints, N m s / rad: how slowly they follow their servos."""
+    joints = model.actuator_trnid[_finger_actuators(model), 0]
+    model.dof_damping[model.jnt_dofadr[joints]] *= factor
+
+
+def _finger_actuators(model: mujoco.MjModel) -> slice:
+    first, last = (model.actuator(name).id for name in FINGERS)
+    return slice(first, last + 1)
 
 
 def scale_joint(array: str, joint: str, model: mujoco.MjModel, factor: float) -> None:
@@ -65,6 +75,12 @@ def mass(*bodies: str) -> Multiply:
     return partial(scale_mass, bodies)
 
 
+FINGER_DAMPING: Final[tuple[Factor, Multiply]] = (
+    Factor("damping of the fingers' joints"),
+    scale_finger_damping,
+)
+"""For tasks whose things have no damping of their own that a factor could change: that of a ball
+and a pen is 0, and a nail's 0.05 N s/m is nothing beside its friction of 2.5 N."""
 SHARED: Final[Mapping[str, tuple[Factor, Multiply]]] = MappingProxyType(
     {
         "contact_friction": (Factor("friction of all contacts"), scale_contact_friction),

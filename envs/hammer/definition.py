@@ -12,6 +12,7 @@ from torch import Tensor
 from envs.adroit.render import View
 from envs.adroit.resimulation import Resimulation
 from envs.adroit.room import REWARDS, MakeEnv, Pictures, Starts
+from envs.adroit.scene import STEPS_PER_SECOND
 from envs.adroit.states import States
 from envs.hammer import task
 from envs.hammer.contacts import CONTACTS
@@ -19,6 +20,7 @@ from envs.hammer.demos import SCHEMA
 from envs.hammer.disturbing import DISTURB
 from envs.hammer.hand import HAMMER
 from envs.hammer.variation import VARY
+from envs.motion import Motion
 from envs.task import Stage, Task
 
 REACHED_M: Final = 0.1
@@ -39,6 +41,13 @@ def _lifted(after: TensorDictBase) -> Tensor:
 VIEW: Final = View((0.0, -0.1, 0.18), distance=1.0, azimuth=45, elevation=-30)
 """Keeps the hand and what it is to do in sight for whole episodes."""
 
+MOTION: Final = Motion(
+    effector=lambda seen: seen[..., task.PALM],
+    target=lambda seen: seen[..., task.HAMMER],
+    posture=lambda seen: seen[..., task.WRIST_AND_FINGERS],
+    steps_per_second=STEPS_PER_SECOND,
+)
+
 TASK: Final = Task(
     name="hammer",
     make_env=MakeEnv(HAMMER),
@@ -52,6 +61,7 @@ TASK: Final = Task(
     demos=SCHEMA,
     resimulate=Resimulation(HAMMER),
     render=Pictures(VIEW).render(),
+    motion=MOTION,
     disturb=DISTURB,
     contacts=CONTACTS,
     states=States(HAMMER),

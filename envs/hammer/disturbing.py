@@ -6,7 +6,7 @@ from math import inf
 from types import MappingProxyType
 from typing import Final
 
-from envs.adroit.disturbing import friction, hand_disturb, mass
+from envs.adroit.disturbing import FINGER_DAMPING, friction, hand_disturb, mass
 from envs.disturbing import Box, Disturb, Factor
 from envs.hammer.hand import BOARD_POSITION, BOARD_X, BOARD_Y, HAMMER
 from envs.hammer.task import BOARD_HEIGHT
@@ -29,6 +29,7 @@ DISTURB: Final[Disturb] = hand_disturb(
         {
             "mass": (Factor("mass of the hammer"), mass("Object")),
             "nail_friction": (Factor("friction of the nail"), friction("nail_dir")),
+            "finger_damping": FINGER_DAMPING,
         }
     ),
     (BOARD,),

@@ -25,6 +25,8 @@ HORIZON: Final = 200
 
 HAND_QPOS: Final = slice(0, 26)
 """Arm, wrist and finger joint positions."""
+WRIST_AND_FINGERS: Final = slice(2, 26)
+"""Of these the joints of wrist and fingers, which make up a posture whatever stands where, rad."""
 NAIL: Final = 26
 """How far the nail has been driven: -0.01 at first, 0.09 at most."""
 HAMMER_VELOCITY: Final = slice(27, 33)

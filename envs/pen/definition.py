@@ -12,12 +12,14 @@ from torch import Tensor
 from envs.adroit.render import View
 from envs.adroit.resimulation import Resimulation
 from envs.adroit.room import REWARDS, MakeEnv, Pictures, Starts
+from envs.adroit.scene import STEPS_PER_SECOND
 from envs.adroit.states import States
+from envs.motion import Motion
 from envs.pen import task
 from envs.pen.contacts import CONTACTS
 from envs.pen.demos import SCHEMA
 from envs.pen.disturbing import DISTURB
-from envs.pen.hand import PEN
+from envs.pen.hand import PEN, palm
 from envs.pen.variation import VARY
 from envs.task import Stage, Task
 
@@ -30,6 +32,13 @@ def _aligned(after: TensorDictBase) -> Tensor:
 VIEW: Final = View((0.06, -0.2, 0.22), distance=0.6, azimuth=90, elevation=-50)
 """Keeps the hand and what it is to do in sight for whole episodes."""
 
+MOTION: Final = Motion(
+    effector=palm,
+    target=lambda seen: seen[..., task.PEN],
+    posture=lambda seen: seen[..., task.HAND_QPOS],
+    steps_per_second=STEPS_PER_SECOND,
+)
+
 TASK: Final = Task(
     name="pen",
     make_env=MakeEnv(PEN),
@@ -41,6 +50,7 @@ TASK: Final = Task(
     demos=SCHEMA,
     resimulate=Resimulation(PEN),
     render=Pictures(VIEW).render(),
+    motion=MOTION,
     disturb=DISTURB,
     contacts=CONTACTS,
     states=States(PEN),

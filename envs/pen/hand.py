@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Final
 
 import mujoco
@@ -64,12 +65,25 @@ def _judge(_: HandStates, observation: NDArray[np.float32]) -> Judged:
 
 
 def _draw(rng: np.random.Generator) -> dict[str, NDArray[np.float64]]:
-    quaternion, about_x, about_y = np.zeros(4), np.zeros(4), np.zeros(4)
-    angle_x, angle_y = rng.uniform(-1, 1, 2)
-    mujoco.mju_axisAngle2Quat(about_x, np.array([1.0, 0.0, 0.0]), angle_x)
-    mujoco.mju_axisAngle2Quat(about_y, np.array([0.0, 1.0, 0.0]), angle_y)
-    mujoco.mju_mulQuat(quaternion, about_x, about_y)
-    return {ASKED_ORIENTATION: quaternion}
+    angles = rng.uniform(-task.ASKED_ANGLE, task.ASKED_ANGLE, 2)
+    return {ASKED_ORIENTATION: orientation(angles)}
+
+
+def orientation(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit quaternions ``[..., 4]`` (w, x, y, z) of angles ``[..., 2]`` about x, then y, rad."""
+    rows = np.reshape(angles, (-1, 2))
+    found, about_x, about_y = np.zeros((len(rows), 4)), np.zeros(4), np.zeros(4)
+    for row, quaternion in zip(rows, found, strict=True):
+        mujoco.mju_axisAngle2Quat(about_x, np.array([1.0, 0.0, 0.0]), row[0])
+        mujoco.mju_axisAngle2Quat(about_y, np.array([0.0, 1.0, 0.0]), row[1])
+        mujoco.mju_mulQuat(quaternion, about_x, about_y)
+    return found.reshape(*np.shape(angles)[:-1], 4)
+
+
+def angles_of(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The angles ``[..., 2]``, rad, that `orientation` makes these quaternions ``[..., 4]`` of."""
+    w, x, y, _ = np.moveaxis(quaternion, -1, 0)
+    return 2 * np.stack([np.arctan2(x, w), np.arctan2(y, w)], axis=-1)
 
 
 PEN: Final = HandTask(
@@ -84,3 +98,25 @@ PEN: Final = HandTask(
     contacts=CONTACTS,
     surfaces=SURFACES,
 )
+
+
+def palm(observation: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Palm (grasp site) positions in the world, m, shape ``[..., 3]`` from ``[..., 45]``.
+
+    No observation shows them: they follow from the joints of the wrist, on which the hand turns.
+    """
+    seen = np.asarray(observation, dtype=np.float64)
+    rows = seen.reshape(-1, seen.shape[-1])
+    model = _model()
+    data, site = mujoco.MjData(model), model.site("S_grasp").id
+    found = np.empty((len(rows), 3))
+    for i, row in enumerate(rows):
+        data.qpos[task.HAND_QPOS] = row[task.HAND_QPOS]
+        mujoco.mj_kinematics(model, data)
+        found[i] = data.site_xpos[site]
+    return found.reshape(*seen.shape[:-1], 3)
+
+
+@cache
+def _model() -> mujoco.MjModel:
+    return build_scene().model

@@ -38,6 +38,9 @@ OFF_CENTRE: Final = slice(39, 42)
 DIRECTION_ERROR: Final = slice(42, 45)
 """`DIRECTION` minus `ASKED`."""
 
+ASKED_ANGLE: Final = 1.0
+"""Largest angle (rad) about x, then about the y that has turned along, from upright to the asked
+orientation: both are drawn at reset, from minus this to this."""
 PEN_LENGTH: Final = 0.13
 """Between the two ends, m."""
 HELD: Final = 0.075

@@ -12,7 +12,9 @@ from torch import Tensor
 from envs.adroit.render import View
 from envs.adroit.resimulation import Resimulation
 from envs.adroit.room import REWARDS, MakeEnv, Pictures, Starts
+from envs.adroit.scene import STEPS_PER_SECOND
 from envs.adroit.states import States
+from envs.motion import Motion
 from envs.relocate import task
 from envs.relocate.contacts import CONTACTS
 from envs.relocate.demos import SCHEMA
@@ -37,6 +39,15 @@ def _within(distance: float) -> Stage:
 VIEW: Final = View((0.0, 0.02, 0.16), distance=1.2, azimuth=60, elevation=-30)
 """Keeps the hand and what it is to do in sight for whole episodes."""
 
+MOTION: Final = Motion(
+    # Both from the place that the ball is carried to, which stands still: an observation shows
+    # neither palm nor ball in the world.
+    effector=lambda seen: seen[..., task.TARGET_TO_PALM],
+    target=lambda seen: seen[..., task.TARGET_TO_BALL],
+    posture=lambda seen: seen[..., task.WRIST_AND_FINGERS],
+    steps_per_second=STEPS_PER_SECOND,
+)
+
 TASK: Final = Task(
     name="relocate",
     make_env=MakeEnv(RELOCATE),
@@ -45,6 +56,7 @@ TASK: Final = Task(
     demos=SCHEMA,
     resimulate=Resimulation(RELOCATE),
     render=Pictures(VIEW).render(),
+    motion=MOTION,
     disturb=DISTURB,
     contacts=CONTACTS,
     states=States(RELOCATE),

@@ -6,7 +6,7 @@ from math import inf
 from types import MappingProxyType
 from typing import Final
 
-from envs.adroit.disturbing import hand_disturb, mass
+from envs.adroit.disturbing import FINGER_DAMPING, hand_disturb, mass
 from envs.disturbing import Box, Disturb, Factor
 from envs.relocate.hand import BALL_POSITION, RELOCATE, TARGET_POSITION
 from envs.relocate.task import BALL_HEIGHT, BALL_HIGH, BALL_LOW, TARGET_HIGH, TARGET_LOW
@@ -34,6 +34,11 @@ TARGET: Final = Box(
 
 DISTURB: Final[Disturb] = hand_disturb(
     RELOCATE,
-    MappingProxyType({"mass": (Factor("mass of the ball"), mass("Object"))}),
+    MappingProxyType(
+        {
+            "mass": (Factor("mass of the ball"), mass("Object")),
+            "finger_damping": FINGER_DAMPING,
+        }
+    ),
     (BALL, TARGET),
 )

@@ -24,6 +24,8 @@ HORIZON: Final = 200
 
 HAND_QPOS: Final = slice(0, 30)
 """Arm, wrist and finger joint positions."""
+WRIST_AND_FINGERS: Final = slice(6, 30)
+"""Of these the joints of wrist and fingers, which make up a posture whatever stands where, rad."""
 BALL_TO_PALM: Final = slice(30, 33)
 """Palm (grasp site) minus ball position."""
 TARGET_TO_PALM: Final = slice(33, 36)

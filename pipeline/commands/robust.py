@@ -30,7 +30,7 @@ DELAYS: Final = (1, 2, 3, 4, 5)
 MORE: Final = (1.2, 1.5, 2.0)
 LESS: Final = (0.8, 0.65, 0.5)
 BEYOND: Final = (0.01, 0.02, 0.05)
-"""Of the box from which starts are drawn, in its unit."""
+"""Of the box from which starts are drawn, in its unit, where the box says nothing else."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,8 @@ def _factors(name: str, factor: Factor) -> Iterator[Plan]:
 def _boxes(box: Box) -> Iterator[Plan]:
     for name in filter(None, box.names):
         for way, sign in (("above", 1), ("below", -1)):
-            rungs = (_place(name, sign * distance, box.unit) for distance in BEYOND)
+            distances = BEYOND if box.beyond is None else box.beyond
+            rungs = (_place(name, sign * distance, box.unit) for distance in distances)
             yield Plan(name, f"{name} {way} its box", tuple(rungs))
 
 

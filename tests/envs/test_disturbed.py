@@ -232,6 +232,46 @@ def test_starts_at_a_distance_from_the_box():
     assert below.starts(7, 3, 4)["door_position"][:, 1].tolist() == pytest.approx([0.2] * 4)
 
 
+def asked_for(env) -> torch.Tensor:
+    """Where the pens are to point, unit vectors [N, 3]."""
+    return env.reset()["observation"][:, 36:39].double()
+
+
+def test_pens_are_asked_for_orientations_farther_than_in_training():
+    plain, beyond = find_task("pen"), moved(find_task("pen"), "asked_x", 0.4)
+    was, found = (task.starts(7, 3, 6)["asked_orientation"] for task in (plain, beyond))
+    assert found.norm(dim=-1).tolist() == pytest.approx([1.0] * 6)
+    # Pens that are turned by 1.4 rad about x, and then about their own y as they would have been.
+    env = beyond.make_env(EnvOptions(num_envs=6))
+    x, y, z = env.reset(beyond.starts(7, 3, 6))["observation"][:, 36:39].double().T
+    assert torch.atan2(-y, z).tolist() == pytest.approx([1.4] * 6, abs=1e-5)
+    w, i, j, _ = was.T
+    assert x.tolist() == pytest.approx(torch.sin(2 * torch.atan2(j, w)).tolist(), abs=1e-5)
+    assert torch.atan2(i, w).abs().max() < 0.5
+
+
+def test_pens_of_training_are_asked_for_what_is_drawn():
+    disturbance = Disturbance(outside={"asked_y": (0.0, 0.5)})
+    task, options = disturbed(find_task("pen"), disturbance), EnvOptions(num_envs=100, seed=0)
+    x, y, z = asked_for(task.make_env(options)).T
+    about_y = torch.asin(x)
+    assert -1.0 < about_y.min() < -0.8
+    assert 1.3 < about_y.max() < 1.5
+    assert torch.atan2(-y, z).abs().max() < 1.0
+
+
+def test_orientations_that_no_hand_could_give_a_pen_are_refused():
+    for distance in (0.58, -0.58):
+        with pytest.raises(ValueError, match="a quarter turn"):
+            moved(find_task("pen"), "asked_y", distance)
+    assert moved(find_task("pen"), "asked_x", 0.57)
+
+
+def test_a_box_of_other_numbers_says_both_ways():
+    with pytest.raises(ValueError, match="asked: placed and numbers are given together"):
+        Box("asked", (0.0,), (1.0,), ("a",), (-inf,), (inf,), "", placed=np.sin)
+
+
 @pytest.mark.parametrize(
     ("asked", "told"),
     [

@@ -9,7 +9,7 @@ import pytest
 from envs import find_task
 from envs.adroit.scene import SUBSTEPS
 from envs.adroit.simulator import HandSimulator
-from tests.envs.adroit.conftest import HANDS, held_actions, starts_of
+from tests.envs.adroit.conftest import HANDS, OTHERS, held_actions, starts_of
 
 STEPS = 60
 
@@ -71,6 +71,7 @@ def test_every_factor_writes_what_it_is_called_after(task):
         "latch_friction": {"dof_frictionloss"},
         "nail_friction": {"dof_frictionloss"},
         "hinge_damping": {"dof_damping"},
+        "finger_damping": {"dof_damping"},
     }
     for name in find_task(task).disturb.factors:
         with HandSimulator(HANDS[task], 1) as simulator:
@@ -85,6 +86,22 @@ def test_every_factor_writes_what_it_is_called_after(task):
                 assert moved.sum() == (2 if task == "door" else 1)
             else:
                 assert found == written[name]
+
+
+@pytest.mark.parametrize("task", OTHERS)
+def test_damped_fingers_are_the_fingers_and_follow_more_slowly(task):
+    model = HANDS[task].scene().model
+    was = model.dof_damping.copy()
+    changed(task, "finger_damping", 4.0)(model)
+    names = {model.joint(model.dof_jntid[i]).name for i in np.flatnonzero(model.dof_damping != was)}
+    assert len(names) == 22
+    assert {name[:2] for name in names} == {"FF", "MF", "RF", "LF", "TH"}
+    actions = np.zeros((2, 5, HANDS[task].action_size))  # to the middle of each joint's range
+    with HandSimulator(HANDS[task], 2) as simulator:
+        simulator.change_model(1, changed(task, "finger_damping", 4.0))
+        bent = play(simulator, task, actions)
+    first = model.joint("MFJ1").qposadr[0]
+    assert 0.05 < bent[1, first] < bent[0, first] - 0.05
 
 
 def test_no_copy_of_this_number():

@@ -32,6 +32,11 @@ def test_noise_and_delays_are_of_every_task_and_the_rest_of_those_that_say_so():
     assert door.count("mass") == 2  # more and less
     assert {"board_z", "nail_friction"} <= {plan.kind for plan in plans(find_task("hammer"))}
     assert {"ball_x", "target_z"} <= {plan.kind for plan in plans(find_task("relocate"))}
+    asked = [plan for plan in plans(find_task("pen")) if plan.kind == "asked_x"]
+    assert [plan.what for plan in asked] == ["asked_x above its box", "asked_x below its box"]
+    assert [rung.setting for rung in asked[1].rungs] == ["-0.1 rad", "-0.2 rad", "-0.4 rad"]
+    for task in ("hammer", "pen", "relocate"):
+        assert "finger_damping" in {plan.kind for plan in plans(find_task(task))}
 
 
 def test_a_policy_climbs_its_ladders(trained: Path, monkeypatch: pytest.MonkeyPatch):
