@@ -27,6 +27,8 @@ from pipeline.updates import critic_updates
 CHECKPOINT: Final = re.compile(r"checkpoint-(\d+)")
 SAME: Final = ("variant", "preset", "seed")
 """What evaluation and configuration of a run both tell."""
+PRESET: Final = "preset/default"
+MULTIPLY: Final = "demos.multiply.enabled"
 
 
 def find_runs(folders: Sequence[Path]) -> list[Path]:
@@ -70,7 +72,7 @@ def read_cell(run_dir: Path, listed: Mapping[str, Demonstrators], *, unclean: bo
     return Cell(
         task=_short(recipe.task.name),
         reward=reward_of(recipe),
-        row=row_name(recipe.variant, recipe.loss.bc_weight.init, ORDER),
+        row=row_of(recipe),
         conditions={
             "preset": recipe.preset,
             "frames": made_from.frames,
@@ -97,6 +99,23 @@ def task_of_ours(recipe: Recipe) -> Task | None:
     if ":" in recipe.task.name or imports_of(recipe.task.name, recipe.task.options):
         return None
     return find_task(recipe.task.name)
+
+
+def row_of(recipe: Recipe) -> str:
+    """The row's name, and what its demonstrations lack that the row usually has.
+
+    A run of fewer demonstrations, or without those that its task multiplies by default, is another
+    row: ``best, 5 demonstrations``, ``best, not multiplied``.
+    """
+    name = row_name(recipe.variant, recipe.loss.bc_weight.init, ORDER)
+    fewer = recipe.demos.limit
+    task = task_of_ours(recipe)
+    multiplies = task is not None and task.defaults.get(PRESET, {}).get(MULTIPLY, False)
+    lacking = {
+        f"{fewer} demonstrations": fewer is not None,
+        "not multiplied": bool(multiplies) and not recipe.demos.multiply.enabled,
+    }
+    return ", ".join([name, *(said for said, holds in lacking.items() if holds)])
 
 
 def reward_of(recipe: Recipe) -> str:

@@ -19,7 +19,7 @@ from pipeline.results.evaluation import MadeFrom
 from pipeline.results.evaluation_files import save_evaluation
 from pipeline.results.publish import has_tables
 from pipeline.results.publish_cells import publish_cells, read_cells
-from pipeline.results.run_cells import find_runs, read_cell
+from pipeline.results.run_cells import find_runs, read_cell, row_of
 from pipeline.results.run_tables import row_name
 from tests.pipeline.results.evaluated import REVISION, evaluated, evaluation_of, made_from, recipe
 from tests.pipeline.toys import write_demos
@@ -41,6 +41,20 @@ def file_of(out: Path) -> Path:
 def test_what_a_run_is_comes_from_its_files_and_not_from_its_folders(tmp_path: Path):
     run = evaluated(tmp_path / "door_sparse" / "best" / "seed7")
     assert read(run).keys == ("hammer", "dense", "bc_sac_1", 0)
+
+
+@pytest.mark.parametrize(
+    ("task", "demos", "row"),
+    [
+        ("relocate", {"multiply": {"enabled": True}}, "bc_sac_1"),
+        ("relocate", {"limit": 5, "multiply": {"enabled": True}}, "bc_sac_1, 5 demonstrations"),
+        ("relocate", {}, "bc_sac_1, not multiplied"),
+        ("hammer", {}, "bc_sac_1"),
+        ("tests/toys/reach.py", {"limit": 2}, "bc_sac_1, 2 demonstrations"),
+    ],
+)
+def test_what_the_demonstrations_of_a_run_lack_is_part_of_its_row(task: str, demos: dict, row: str):
+    assert row_of(recipe(task={"name": task}, demos=demos)) == row
 
 
 def test_a_cell_that_is_published_is_read_as_it_was(tmp_path: Path):
