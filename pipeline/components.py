@@ -22,6 +22,7 @@ from pipeline.data.rows import TransitionRows
 from pipeline.learn.critics import BatchedCritics
 from pipeline.learn.networks import ActorSettings, CriticSettings, ObservationNormalizer, make_actor
 from pipeline.learn.objective import LossSettings
+from pipeline.learn.own_terms import own_terms
 from pipeline.learn.stepper import BCSACStepper, StepRhythm
 from pipeline.recipe import Recipe
 from pipeline.updates import actor_updates
@@ -212,7 +213,7 @@ def make_loss(
         q_filter=loss.q_filter,
         tau=loss.tau,
         proposal=proposal,
-        further=loss.self_imitation.terms(loss),
+        further=[*loss.self_imitation.terms(loss), *own_terms(loss.own_terms)],
     )
 
 

@@ -21,6 +21,7 @@ from pydantic.dataclasses import is_pydantic_dataclass
 
 from envs import Task, find_task
 from envs.options import EnvOptions, TaskOptions
+from envs.registry import imports_of
 from envs.rewards import rewarded
 from pipeline.act.evaluation import EvaluationSettings
 from pipeline.act.randomise import RandomiseSettings
@@ -35,6 +36,7 @@ from pipeline.learn.imitation import CloningSettings
 from pipeline.learn.networks import ActorSettings, CriticSettings
 from pipeline.learn.objective import LossSettings
 from pipeline.learn.optimizers import OptimSettings
+from pipeline.learn.own_terms import KEY as OWN_TERMS
 from pipeline.settings import STRICT, Count, NotNegative, Seed, checked, plain
 from pipeline.watch.loggers import LoggingSettings
 
@@ -152,6 +154,17 @@ class Recipe:
             horizon=env.horizon,
         )
         return replace(options, **given)
+
+    def imports(self, *, training: bool) -> dict[str, str]:
+        """What of somebody's code a run imports, by the key that asks for it.
+
+        Args:
+            training: Whether it is trained; its objective is made for that alone.
+        """
+        asked = imports_of(self.task.name, self.task.options)
+        if training and self.loss.own_terms:
+            asked[OWN_TERMS] = ", ".join(self.loss.own_terms)
+        return asked
 
     @classmethod
     def of(cls, values: Mapping[str, Any], where: str) -> Self:

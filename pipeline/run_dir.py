@@ -6,12 +6,12 @@ import json
 import os
 import re
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from envs.registry import imports_of
 from pipeline.files.run_files import (
     CONFIG,
     PLACES,
@@ -119,12 +119,17 @@ def saved_recipe(run_dir: Path) -> Recipe:
         raise RunDirectoryError(str(error)) from error
 
 
-def load_recipe(run_dir: Path, overrides: Sequence[str] = ()) -> Recipe:
+def load_recipe(run_dir: Path, overrides: Sequence[str] = (), *, training: bool = False) -> Recipe:
     """Reads the recipe of a run, with ``key=value`` of a command line on top.
+
+    Args:
+        run_dir: The run.
+        overrides: Of the command line.
+        training: Whether it is trained further, and not only played.
 
     Raises:
         RunDirectoryError: If there is none, it is damaged, an override names an unknown key, or its
-            task runs somebody's code of which the command line says nothing.
+            task or objective runs somebody's code of which the command line says nothing.
         RunFormatError: If it is a link.
     """
     path = run_dir / CONFIG
@@ -139,7 +144,7 @@ def load_recipe(run_dir: Path, overrides: Sequence[str] = ()) -> Recipe:
         raise RunDirectoryError(
             f"{error} (with overrides {typed})" if typed else str(error)
         ) from error
-    _require_trusted(recipe, typed, path)
+    _require_trusted(recipe, recipe.imports(training=training), typed, path)
     _require_itself(typed, path)
     return recipe
 
@@ -197,13 +202,15 @@ def _require_bounded(text: str, path: Path) -> None:
             raise RunDirectoryError(f"{path} is nested deeper than any that a run writes.")
 
 
-def _require_trusted(recipe: Recipe, overrides: list[str], where: Path) -> None:
+def _require_trusted(
+    recipe: Recipe, imports: Mapping[str, str], overrides: list[str], where: Path
+) -> None:
     """Refuses to run code that nobody but the run directory names: it may lie within it."""
     if os.environ.get(TRUST) == "1":
         return
-    for key, what in imports_of(recipe.task.name, recipe.task.options).items():
+    for key, what in imports.items():
         if not any(override.startswith(f"{key}=") for override in overrides):
-            value = plain(getattr(recipe.task, key.removeprefix("task.")))
+            value = plain(attrgetter(key)(recipe))
             again = f"TASK={value}" if key == TASK_KEY else f'ARGS="{key}={_typed(value)}"'
             raise RunDirectoryError(
                 f"{where} asks to import {what!r} ({key}={_typed(value)}), which runs its code. If "

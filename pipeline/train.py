@@ -15,6 +15,7 @@ from omegaconf.errors import OmegaConfBaseException
 from configs import prepare, recipe_of, require_known
 from envs.task import TaskFailedError
 from pipeline.build import build_run
+from pipeline.learn.own_terms import KEY as OWN_TERMS
 from pipeline.machine.disk import told
 from pipeline.machine.interruption import Interrupted, Interruption, interruption
 from pipeline.machine.memory import told_memory
@@ -49,7 +50,7 @@ def resolve(config: DictConfig) -> tuple[Recipe, Path, bool]:
         raise ValueError(
             f"resume={run_dir} continues that run as what it is; leave out {', '.join(chosen)}."
         )
-    return load_recipe(run_dir, typed), run_dir, True
+    return load_recipe(run_dir, typed, training=True), run_dir, True
 
 
 @hydra.main(version_base="1.3", config_path="pkg://configs", config_name="train")
@@ -102,7 +103,9 @@ def _train(config: DictConfig, signals: Interruption) -> None:
         run.train()
     except Interrupted:
         frames = run.trainer.collected_frames
-        further = again.command("train", "", again.task_of(run_dir), RESUME=run_dir)
+        terms = recipe.loss.own_terms
+        named = [f"{OWN_TERMS}=[{','.join(terms)}]"] if terms else []
+        further = again.command("train", "", again.task_of(run_dir), named, RESUME=run_dir)
         print(f"stopped at {frames} frames; go on with: {further}", file=sys.stderr)
         raise
     logger.info("done; evaluate it with: %s", again.evaluate(run.run_dir))

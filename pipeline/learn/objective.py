@@ -110,6 +110,8 @@ class LossSettings:
     bc_weight: WeightSettings = field(default_factory=WeightSettings)
     bc_emphasis: EmphasisSettings = field(default_factory=EmphasisSettings)
     self_imitation: SelfImitationSettings = field(default_factory=SelfImitationSettings)
+    # Terms of your own beside these: path.py:NAME, ... (pipeline/learn/own_terms.py)
+    own_terms: tuple[str, ...] = ()
     bc_decay: Share = 0.999  # alpha that the DBC variants give to bc_weight (paper IV-C.4)
     bc_gradient_ratio: Rate | None = None  # if set: bc_weight(n) * ratio * |g_RL| / |g_BC|
 
