@@ -53,19 +53,18 @@ OUT_KEYS = [
 """What :class:`BCSACLoss` returns, in the order that it has always had."""
 
 
-class _Setting:
-    """An attribute that reads and changes a setting of one of the loss's terms."""
+def _setting(term: str, name: str) -> Any:
+    """Return a read-only attribute of the loss: the setting ``name`` of one of its terms."""
 
-    def __init__(self, term: str, setting: str) -> None:
-        self.term, self.setting = term, setting
+    def read(loss: BCSACLoss) -> Any:
+        return getattr(loss.composition[term], name)
 
-    def __get__(self, loss: BCSACLoss | None, _owner: type | None = None) -> Any:
-        if loss is None:
-            return self
-        return getattr(loss.composition[self.term], self.setting)
+    def refuse(loss: BCSACLoss, value: Any) -> None:
+        raise AttributeError(
+            f"settings are not assigned: change this one by configure({term!r}, {name}={value!r})"
+        )
 
-    def __set__(self, loss: BCSACLoss, value: Any) -> None:
-        loss.configure(self.term, **{self.setting: value})
+    return property(read, refuse)
 
 
 class BCSACLoss(Objective):
@@ -90,6 +89,10 @@ class BCSACLoss(Objective):
 
     The batch is never written to. :class:`~losses.batch.BatchKeys` lists its entries, which
     ``set_keys`` renames.
+
+    The terms are named ``qvalue``, ``rl``, ``alpha`` and ``bc``. Attributes such as ``gamma`` read
+    their settings; :meth:`configure` changes them, e.g. ``configure("qvalue", gamma=0.995)`` or
+    ``configure("bc", row_weights=[QFilter()])``.
 
     Args:
         actor: policy over one observation key with a ``TanhNormal``-like distribution on (-1, 1).
@@ -132,14 +135,14 @@ class BCSACLoss(Objective):
             ``"auto"`` target entropy for an actor without a spec.
     """
 
-    gamma = _Setting("qvalue", "gamma")
-    tau = _Setting("qvalue", "tau")
-    target_action = _Setting("qvalue", "target_action")
-    entropy_in_target = _Setting("qvalue", "entropy")
-    loss_function = _Setting("qvalue", "distance")
-    target_entropy = _Setting("alpha", "target_entropy")
-    bc_weight = _Setting("bc", "weight")
-    action_margin = _Setting("bc", "margin")
+    gamma = _setting("qvalue", "gamma")
+    tau = _setting("qvalue", "tau")
+    target_action = _setting("qvalue", "target_action")
+    entropy_in_target = _setting("qvalue", "entropy")
+    loss_function = _setting("qvalue", "distance")
+    target_entropy = _setting("alpha", "target_entropy")
+    bc_weight = _setting("bc", "weight")
+    action_margin = _setting("bc", "margin")
 
     def __init__(  # noqa: PLR0913 - the settings of a run, flat
         self,
@@ -198,13 +201,6 @@ class BCSACLoss(Objective):
         super().__init__(actor, critic, terms, rl_on_demos=rl_on_demos, main_rows=main_rows)
         self.out_keys = [*OUT_KEYS, *(key for key in self.out_keys if key not in OUT_KEYS)]
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        """A setting stays one if it is a module, too, which torch would make a part of the loss."""
-        if isinstance(getattr(type(self), name, None), _Setting | property):
-            object.__setattr__(self, name, value)
-        else:
-            super().__setattr__(name, value)
-
     def qvalue_loss(self, tensordict: TensorDictBase) -> Tensor:
         """Return the soft TD error ``[]`` of :meth:`critic_terms`."""
         return self.critic_terms(tensordict).values["qvalue"].loss
@@ -212,7 +208,8 @@ class BCSACLoss(Objective):
     def actor_loss(self, tensordict: TensorDictBase) -> Tensor:
         """Return the reinforcement half ``[]`` of :meth:`actor_terms`; no other row is run."""
         seen = ActorPass(self, self._reinforcement_batch(tensordict))
-        return self._soft_value(seen).loss
+        term = cast(SoftValue, self.composition["rl"])
+        return term(seen).loss
 
     @property
     def current_bc_weight(self) -> float:
@@ -221,31 +218,17 @@ class BCSACLoss(Objective):
 
     @property
     def bc_emphasis(self) -> Callable[[TensorDictBase], Tensor] | None:
-        """The factors by observation on the imitation error, ``None`` for 1."""
+        """The factors by row on the imitation error; ``None`` for 1."""
         return next((row.of for row in self._row_weights if isinstance(row, Emphasis)), None)
-
-    @bc_emphasis.setter
-    def bc_emphasis(self, emphasis: Callable[[TensorDictBase], Tensor] | None) -> None:
-        rows = _row_weights(emphasis, self.q_filter, self._soft_value.value)
-        self.configure("bc", row_weights=rows)
 
     @property
     def q_filter(self) -> bool:
         """Whether only actions that the critics value above the policy's own are imitated."""
         return any(isinstance(row, QFilter) for row in self._row_weights)
 
-    @q_filter.setter
-    def q_filter(self, enabled: bool) -> None:
-        rows = _row_weights(self.bc_emphasis, enabled, self._soft_value.value)
-        self.configure("bc", row_weights=rows)
-
     @property
     def _row_weights(self) -> Sequence[RowWeight]:
         return cast(Imitation, self.composition["bc"]).row_weights
-
-    @property
-    def _soft_value(self) -> SoftValue:
-        return cast(SoftValue, self.composition["rl"])
 
 
 def _row_weights(
