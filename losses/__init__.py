@@ -1,9 +1,10 @@
 """Loss functions: the SAC family with demonstrations.
 
 ``functional`` holds the arithmetic as pure functions, ``schedules`` the weights over time. A term
-(``critic``, ``actor``, ``temperature``, ``imitation``, ``self_imitation``) fetches keys, chooses
-rows and reduces; :class:`Objective` makes one loss module of several, :class:`BCSACLoss` of
-BC-SAC's. Nothing here imports from the rest of the project.
+(``critic``, ``actor``, ``temperature``, ``imitation``, ``self_imitation``) reads what it needs from
+a batch, chooses the rows that count and takes their mean. :class:`Objective` is a loss module made
+of a list of terms, :class:`BCSACLoss` the one with the terms of BC-SAC. Nothing here imports from
+the rest of the project.
 """
 
 from __future__ import annotations

@@ -17,10 +17,10 @@ EnsembleValue = Literal["min", "mean"]
 
 @dataclass(frozen=True)
 class SoftValue(ActorTerm):
-    """``alpha log pi(a|s) - Q(s, a)`` of the policy's own actions, mean over the R rows.
+    """``alpha log pi(a|s) - Q(s, a)`` of actions a drawn from the policy, mean over the R rows.
 
     Attributes:
-        value: the critics' ``"min"`` or ``"mean"`` is Q.
+        value: what Q is of the critics' values, ``"min"`` or ``"mean"``.
         name: of the term.
 
     Raises:
@@ -40,14 +40,14 @@ class SoftValue(ActorTerm):
 
     @property
     def loss_key(self) -> str:
-        """As TorchRL's ``SACLoss`` calls it."""
+        """The name that TorchRL's ``SACLoss`` uses."""
         return "loss_actor"
 
     def __call__(self, seen: ActorPass) -> TermValue:
-        """Compute the loss; measured are ``entropy [R]`` in nats and ``q_policy [R, 1]``.
+        """Compute the loss; it measures ``entropy [R]`` in nats and ``q_policy [R, 1]``.
 
-        The second is the value of the sampled actions: it rising away from ``q_data`` is the
-        critics' overestimation off the data.
+        ``q_policy`` is the critics' value of the sampled actions. Where it rises far above
+        ``q_data``, the critics overestimate actions that are not in the data.
         """
         sample, networks = seen.sample, seen.networks
         # The action must carry a gradient through the critics, their parameters must not get one.

@@ -1,4 +1,4 @@
-"""A flat batch as the terms read it: its entries by their meaning, and which rows reinforce."""
+"""A flat batch of transitions as the terms see it, and which of its rows are for reinforcement."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ def location(name: NestedKey, keys: BatchKeys) -> NestedKey:
 
 
 class Batch:
-    """``[B]`` transitions, of which nothing is written to and every entry is looked up once.
+    """B transitions, whose entries are read by their meaning and never written to.
 
     Args:
-        data: The transitions; a term of one's own may read further entries from it.
-        keys: Where their entries are.
+        data: ``[B]``, the transitions; a term may read further entries from it directly.
+        keys: Where the entries are.
     """
 
     def __init__(self, data: TensorDictBase, keys: BatchKeys) -> None:
@@ -72,7 +72,7 @@ class Batch:
         self.keys = keys
 
     def __getitem__(self, rows: Rows) -> Batch:
-        """Some of the rows; a slice copies nothing."""
+        """Return some of the rows; a slice copies nothing."""
         return Batch(self.data[rows], self.keys)
 
     @cached_property
@@ -82,12 +82,12 @@ class Batch:
 
     @cached_property
     def action(self) -> Tensor:
-        """``[B, A]``, which led to ``next``: what the critics are asked about."""
+        """``[B, A]``, the executed actions, which led to ``next`` and which the critics value."""
         return self.data[self.keys.action]
 
     @cached_property
     def demonstrated_action(self) -> Tensor:
-        """``[B, A]``, what is imitated: the batch's own actions, unless it says which."""
+        """``[B, A]``, the actions to imitate: ``imitated_action`` if given, or ``action``."""
         shown = self.data.get(self.keys.imitated_action, None)
         return self.action if shown is None else shown
 
@@ -98,46 +98,49 @@ class Batch:
 
     @property
     def reward(self) -> Tensor:
-        """``[B, 1]``, or the discounted sum of n rewards."""
+        """``[B, 1]``, the reward; with n steps to ``next``, the discounted sum of n rewards."""
         return self.data["next", self.keys.reward]
 
     @property
     def terminated(self) -> Tensor:
-        """``[B, 1]`` bool: the environment's end, not a time limit."""
+        """``[B, 1]`` bool, whether the environment's own end was reached; a time limit is none."""
         return self.data["next", self.keys.terminated]
 
     @property
     def steps(self) -> Tensor | None:
-        """``[B, 1]`` environment steps n to ``next``; ``None`` for one each."""
+        """``[B, 1]``, environment steps n to ``next``; ``None`` means one each."""
         return self.data.get(self.keys.steps_to_next_obs, None)
 
     @cached_property
     def to_end(self) -> TensorDictBase | None:
-        """The way to the end of each row's episode ``[B]``; ``None`` if it is not told.
+        """``[B]``, what is left of each row's episode; ``None`` if the batch does not say.
 
-        ``reward [B, 1]``, the discounted sum of all rewards that are left; ``steps [B, 1]``, how
-        many these are, 0 where that is not known; ``observation [B, O]`` and ``terminated [B, 1]``
-        of the end.
+        Its entries are ``reward [B, 1]``, the discounted sum of all remaining rewards; ``steps
+        [B, 1]``, the number of these rewards, 0 where the end of the episode is unknown;
+        ``observation [B, O]`` and ``terminated [B, 1]``, those of the episode's last state.
         """
         return self.data.get(self.keys.to_end, None)
 
     @cached_property
     def is_demo(self) -> Tensor | None:
-        """The mask ``[B]`` of the demonstration rows, ``None`` if there are no marks."""
+        """``[B]`` bool, which rows are demonstrations; ``None`` if the batch has no marks."""
         mask = self.data.get(self.keys.is_demo, None)
         return None if mask is None else mask.squeeze(-1)
 
 
 def reinforcement_rows(batch: Batch, main_rows: int | None = None) -> Rows | None:
-    """Return the rows ``[R]`` that are no demonstrations, ``None`` if no row is marked.
+    """Return the R rows that are not demonstrations, or ``None`` if the batch has no marks.
 
-    Where the demonstrations come last, as in the pipeline's batches, it is a slice, after which
-    all are demonstrations: a view in place of a copy of every entry. Counting makes an
-    accelerator's host wait, once: the price of not running the critics on rows that do not count.
-    With ``main_rows`` there is nothing to count.
+    If the demonstrations come last, as in the pipeline's batches, the rows are a slice, so that
+    taking them is a view and copies nothing. Otherwise they are indices ``[R]``.
+
+    Args:
+        batch: ``[B]``.
+        main_rows: R, where it is known that so many rows come before the demonstrations. ``None``
+            counts them, for which the host of an accelerator has to wait once.
 
     Raises:
-        ValueError: if there are no such rows.
+        ValueError: if all rows are demonstrations.
     """
     is_demo = batch.is_demo
     if is_demo is None:

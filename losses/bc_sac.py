@@ -34,8 +34,7 @@ KEYWORDS = {
     "weight": "bc_weight",
     "margin": "action_margin",
 }
-"""What :class:`BCSACLoss` calls a setting of its terms, where it is not the same."""
-
+"""Keywords of :class:`BCSACLoss` by the settings of its terms that have another name."""
 
 OUT_KEYS = [
     "loss_qvalue",
@@ -50,30 +49,29 @@ OUT_KEYS = [
     "q_policy",
     "q_target",
 ]
-"""What :class:`BCSACLoss` returns, in the order that it has always had."""
+"""The first keys that :class:`BCSACLoss` returns; those of further terms follow."""
 
 
-class _Setting:
-    """An attribute that reads and changes a setting of one of the loss's terms."""
+def _setting(term: str, name: str) -> Any:
+    """Return a read-only attribute of the loss: the setting ``name`` of one of its terms."""
 
-    def __init__(self, term: str, setting: str) -> None:
-        self.term, self.setting = term, setting
+    def read(loss: BCSACLoss) -> Any:
+        return getattr(loss.composition[term], name)
 
-    def __get__(self, loss: BCSACLoss | None, _owner: type | None = None) -> Any:
-        if loss is None:
-            return self
-        return getattr(loss.composition[self.term], self.setting)
+    def refuse(loss: BCSACLoss, value: Any) -> None:
+        raise AttributeError(
+            f"settings are not assigned: change this one by configure({term!r}, {name}={value!r})"
+        )
 
-    def __set__(self, loss: BCSACLoss, value: Any) -> None:
-        loss.configure(self.term, **{self.setting: value})
+    return property(read, refuse)
 
 
 class BCSACLoss(Objective):
-    r"""Critic, actor, temperature and imitation terms of BC-SAC and its relatives.
+    r"""Critic, actor, temperature and imitation terms of BC-SAC and its variants.
 
-    One flat batch ``[B]`` serves all terms. Rows marked ``is_demo`` are samples of the
-    demonstration distribution D; the imitation term is their mean. Reinforcement terms use the
-    other rows, or all of them with ``rl_on_demos``. The actor's objective (section III-C) is
+    All terms are computed on one flat batch ``[B]``. Rows marked ``is_demo`` are samples of the
+    demonstration distribution D, over which the imitation error is averaged. Reinforcement terms
+    use the other rows, or all rows with ``rl_on_demos``. The actor's objective (section III-C) is
 
     .. math::
         \min_\pi \; E_{s \sim R,\, a \sim \pi} [\alpha \log \pi(a|s) - Q(s, a)]
@@ -83,63 +81,69 @@ class BCSACLoss(Objective):
     :class:`~losses.schedules.Schedule`. With no demonstrations, or weight 0, it is SAC, equal in
     values and gradients to ``torchrl.objectives.SACLoss`` with ``loss_function="l2"``.
 
-    Networks are held as ordinary modules, not as functional parameters: an update costs about
-    a fifth less than ``SACLoss``'s, and the modules passed in are the ones that learn. Every loss
-    reaches the parameters of its own network only, so the backward passes may be taken together
-    or one by one, in any order.
+    Networks are held as ordinary modules, not as functional parameters, so the modules that are
+    passed in are the ones that learn, and an update takes about a fifth less time than with
+    ``SACLoss``. The gradient of a loss reaches only its own network, so the backward passes may be
+    made together or one by one, in any order.
 
     The batch is never written to. :class:`~losses.batch.BatchKeys` lists its entries, which
     ``set_keys`` renames.
 
+    The terms are named ``qvalue``, ``rl``, ``alpha`` and ``bc``. Attributes such as ``gamma`` read
+    their settings; :meth:`configure` changes them, e.g. ``configure("qvalue", gamma=0.995)`` or
+    ``configure("bc", row_weights=[QFilter()])``.
+
     Args:
         actor: policy over one observation key with a ``TanhNormal``-like distribution on (-1, 1).
         critic: module ``(observation [B, O], action [B, A]) -> [E, B, 1]``, or a list of modules
-            that return ``[B, 1]`` each. If it has ``num_critics`` and its ``forward`` takes
-            ``members [M]`` too, the critics that ``target_subset`` leaves out are not run.
+            that return ``[B, 1]`` each. If the module has ``num_critics`` and its ``forward``
+            also takes ``members [M]``, the critics that ``target_subset`` leaves out are not run.
         gamma: discount per environment step, in [0, 1].
         init_temperature: initial entropy weight alpha, > 0.
         target_entropy: in nats; ``"auto"`` is minus the number of action dimensions, read from
             the actor's spec.
-        learn_temperature: ``False`` keeps alpha where it starts.
+        learn_temperature: ``False`` keeps alpha at ``init_temperature``.
         bc_weight: lambda, a number or a schedule of the number of updates.
         bc_rule: sets the imitation term's weight by the sizes of the gradients
             (:class:`~losses.GradientRatio`); ``None`` is the paper's, ``bc_weight`` alone.
-        imitation: ``"nll"`` (section III-B), ``"mse"`` of the deterministic action, or
-            ``"fixed_width"``, its regression in nats.
+        imitation: the imitation error: ``"nll"`` (section III-B), ``"mse"`` of the deterministic
+            action, or ``"fixed_width"``, the same regression in nats
+            (:mod:`losses.imitation_errors`).
         action_margin: demonstrated actions are kept this far inside (-1, 1) before they are
             scored; see :func:`~losses.imitation_errors.clamp_to_support`.
-        target_subset: critics in the target's minimum, drawn anew at each call; ``None`` is all.
-        actor_value: the critics' ``"min"`` or ``"mean"`` is what the actor maximises.
+        target_subset: number of critics in the target's minimum, drawn anew at each call;
+            ``None`` is all.
+        actor_value: what the actor maximises of the critics' values, ``"min"`` or ``"mean"``.
         target_action: the policy's ``"sample"`` or ``"mean"`` action in the next state of the
-            backup. With the mean, the critics value the policy without its noise
-            (arXiv:1802.09477, without the smoothing), which has no entropy to pay for.
-        entropy_in_target: whether the backup carries the entropy bonus.
+            critics' target (:class:`~losses.SoftTD`).
+        entropy_in_target: whether the critics' target includes the entropy bonus.
         rl_on_demos: whether the reinforcement terms use the demonstration rows too.
-        main_rows: rows before the demonstrations in every batch with marks, where all are built
-            alike; ``None`` counts them each time, for which an accelerator's host must wait.
-        bc_emphasis: factors ``[B]`` on the imitation error in :meth:`actor_terms` by the rows
-            ``[B]`` of the batch, where some demonstrated steps matter more than others; ``None``
-            is 1.
+        main_rows: number of rows before the demonstrations, if it is the same in every batch with
+            marks; ``None`` counts them in each, for which the host of an accelerator must wait.
+        bc_emphasis: function of rows ``[D]`` of the batch that returns factors ``[D]`` on their
+            imitation errors in :meth:`actor_terms`; ``None`` is 1.
         q_filter: whether :meth:`actor_terms` imitates only the demonstrated actions that the
             critics value above the policy's own mean action (arXiv:1709.10089, section V-C).
-        tau: share of the critic that one :meth:`update_target` moves into the target, in [0, 1].
-        loss_function: regression error of the critic.
-        proposal: another policy, whose action the critics' target takes where it is worth more.
-        further: terms beside those of BC-SAC.
+        tau: step of the target critics towards the critics at each :meth:`update_target`, in
+            [0, 1].
+        loss_function: regression error of the critics, ``"l2"``, ``"l1"`` or ``"smooth_l1"``.
+        proposal: another policy, whose action the critics' target uses where the critics value it
+            higher.
+        further: more terms beside those of BC-SAC.
 
     Raises:
         ValueError: for an argument outside its range, an actor with more than one input, or an
             ``"auto"`` target entropy for an actor without a spec.
     """
 
-    gamma = _Setting("qvalue", "gamma")
-    tau = _Setting("qvalue", "tau")
-    target_action = _Setting("qvalue", "target_action")
-    entropy_in_target = _Setting("qvalue", "entropy")
-    loss_function = _Setting("qvalue", "distance")
-    target_entropy = _Setting("alpha", "target_entropy")
-    bc_weight = _Setting("bc", "weight")
-    action_margin = _Setting("bc", "margin")
+    gamma = _setting("qvalue", "gamma")
+    tau = _setting("qvalue", "tau")
+    target_action = _setting("qvalue", "target_action")
+    entropy_in_target = _setting("qvalue", "entropy")
+    loss_function = _setting("qvalue", "distance")
+    target_entropy = _setting("alpha", "target_entropy")
+    bc_weight = _setting("bc", "weight")
+    action_margin = _setting("bc", "margin")
 
     def __init__(  # noqa: PLR0913 - the settings of a run, flat
         self,
@@ -198,21 +202,15 @@ class BCSACLoss(Objective):
         super().__init__(actor, critic, terms, rl_on_demos=rl_on_demos, main_rows=main_rows)
         self.out_keys = [*OUT_KEYS, *(key for key in self.out_keys if key not in OUT_KEYS)]
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        """A setting stays one if it is a module, too, which torch would make a part of the loss."""
-        if isinstance(getattr(type(self), name, None), _Setting | property):
-            object.__setattr__(self, name, value)
-        else:
-            super().__setattr__(name, value)
-
     def qvalue_loss(self, tensordict: TensorDictBase) -> Tensor:
         """Return the soft TD error ``[]`` of :meth:`critic_terms`."""
         return self.critic_terms(tensordict).values["qvalue"].loss
 
     def actor_loss(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the reinforcement half ``[]`` of :meth:`actor_terms`; no other row is run."""
+        """Return the reinforcement term ``[]`` of :meth:`actor_terms`, on its rows alone."""
         seen = ActorPass(self, self._reinforcement_batch(tensordict))
-        return self._soft_value(seen).loss
+        term = cast(SoftValue, self.composition["rl"])
+        return term(seen).loss
 
     @property
     def current_bc_weight(self) -> float:
@@ -221,31 +219,17 @@ class BCSACLoss(Objective):
 
     @property
     def bc_emphasis(self) -> Callable[[TensorDictBase], Tensor] | None:
-        """The factors by observation on the imitation error, ``None`` for 1."""
+        """The factors by row on the imitation error; ``None`` for 1."""
         return next((row.of for row in self._row_weights if isinstance(row, Emphasis)), None)
-
-    @bc_emphasis.setter
-    def bc_emphasis(self, emphasis: Callable[[TensorDictBase], Tensor] | None) -> None:
-        rows = _row_weights(emphasis, self.q_filter, self._soft_value.value)
-        self.configure("bc", row_weights=rows)
 
     @property
     def q_filter(self) -> bool:
         """Whether only actions that the critics value above the policy's own are imitated."""
         return any(isinstance(row, QFilter) for row in self._row_weights)
 
-    @q_filter.setter
-    def q_filter(self, enabled: bool) -> None:
-        rows = _row_weights(self.bc_emphasis, enabled, self._soft_value.value)
-        self.configure("bc", row_weights=rows)
-
     @property
     def _row_weights(self) -> Sequence[RowWeight]:
         return cast(Imitation, self.composition["bc"]).row_weights
-
-    @property
-    def _soft_value(self) -> SoftValue:
-        return cast(SoftValue, self.composition["rl"])
 
 
 def _row_weights(
@@ -256,7 +240,7 @@ def _row_weights(
 
 
 def _term(kind: type[AnyTerm], **settings: Any) -> AnyTerm:
-    """The term of these settings; one that is refused is named as the loss's keyword."""
+    """Return the term; an error names the setting as the keyword of the loss."""
     try:
         return kind(**settings)
     except SettingError as error:

@@ -1,4 +1,4 @@
-"""Terms that go together: what they are called, what they log and what they are relative to."""
+"""The terms of one objective: checked against each other, with the names of what they log."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class Composition:
         terms: Of one objective, in the order in which they are computed and summed.
 
     Raises:
-        ValueError: if two share a name or a metric, a term that reinforces has no temperature, a
-            rule is without the reinforcement term that it is relative to, or more than one term
-            is about the temperature or moves the target critics.
-        TypeError: for what trains nothing that an objective has.
+        ValueError: if two terms share a name or a metric, a term with ``reinforces`` has no
+            temperature, a term has a rule but the actor has no (other) reinforcement term to
+            compare gradients with, or two terms are a temperature or have a ``tau``.
+        TypeError: for a term that is neither a critic's, nor an actor's, nor a temperature.
     """
 
     def __init__(self, terms: Sequence[Term]) -> None:
@@ -39,7 +39,7 @@ class Composition:
         moving = _only("tau", [term for term in self.of_critic if term.tau is not None])
         self.tau = None if moving is None else moving.tau
         self.reference = next((term for term in self.of_actor if term.reinforces), None)
-        """The actor's reinforcement term, which the others' gradients are compared with."""
+        """The actor's reinforcement term, with whose gradient those of the others are compared."""
         self._require_harmony()
 
     def __getitem__(self, name: str) -> Term:
@@ -50,11 +50,11 @@ class Composition:
         return self._by_name[name]
 
     def resolved(self, actor: ProbabilisticActor) -> Composition:
-        """The same with what its terms left open settled for ``actor``."""
+        """Return the composition of the terms resolved for ``actor`` (``Term.resolved``)."""
         return Composition([term.resolved(actor) for term in self.terms])
 
     def with_settings(self, name: str, /, **settings: Any) -> Composition:
-        """The same with other settings of one term, which keeps its name."""
+        """Return the composition with other settings of the term ``name``, which keeps its name."""
         term = self[name]
         if settings.get("name", name) != name:
             raise ValueError(f"the term {name!r} keeps its name, by which its metrics are known")
@@ -65,7 +65,7 @@ class Composition:
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """Names of what an update logs: losses and weights, measurements, the actor's gradients."""
+        """Names of what an update logs: losses, weights, measurements and actor gradients."""
         return (*self._losses(), *sorted(self._measured()), *self._gradients())
 
     @property

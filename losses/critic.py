@@ -30,16 +30,16 @@ class SoftTD(CriticTerm):
 
     Attributes:
         gamma: discount per environment step, in [0, 1].
-        entropy: whether the backup carries the entropy bonus; RLPD's does not (arXiv:2302.02948).
-        target_subset: critics in the target's minimum, drawn anew at each call (REDQ,
+        entropy: whether the target includes the entropy bonus; RLPD's does not (arXiv:2302.02948).
+        target_subset: number of critics in the target's minimum, drawn anew at each call (REDQ,
             arXiv:2101.05982); ``None`` is all.
         target_action: the policy's ``"sample"`` or ``"mean"`` action in the next state. With the
             mean, the critics value the policy without its noise (arXiv:1802.09477, without the
-            smoothing), which has no entropy to pay for.
+            smoothing); such a policy has no entropy, so ``entropy`` must be ``False``.
         distance: regression error, ``"l2"``, ``"l1"`` or ``"smooth_l1"``.
-        proposal: another policy, whose action the target takes where it is worth more; ``None``
-            for none.
-        tau: share of the critics that one update of the target moves into it, in [0, 1].
+        proposal: another policy, whose action the target uses where the critics value it higher;
+            ``None`` for none.
+        tau: step of the target critics towards the critics at each of their updates, in [0, 1].
         name: of the term.
 
     Raises:
@@ -91,9 +91,9 @@ class SoftTD(CriticTerm):
         require("distance", self.distance, self.distance in distances, "l2, l1 or smooth_l1")
 
     def __call__(self, seen: CriticPass) -> TermValue:
-        """Compute the loss; measured are ``q_data [E, R, 1]`` and ``q_target [R, 1]``.
+        """Compute the loss; it measures ``q_data [E, R, 1]`` and ``q_target [R, 1]``.
 
-        These are the values of the batch's own actions and what they are drawn to.
+        These are the critics' values of the batch's actions, and their regression target.
         """
         target = self.target(seen)
         loss = F.critic_error(seen.q, target, self.distance).mean()

@@ -23,10 +23,11 @@ class SquashedNormal(Distribution):
         \log \pi(a) = \sum_i \left[ \log N(u_i; \mu_i, \sigma_i) - \log(1 - \tanh^2 u_i) \right]
 
     The same density as ``torchrl.modules.TanhNormal`` on its default bounds (tests compare the
-    two), at about a third of its time: no bounds to check, no chain of transforms to build, and
-    the correction in the closed form :math:`2 (\log 2 - u - \mathrm{softplus}(-2u))` of
-    arXiv:1812.05905's code, exact where :math:`1 - \tanh^2 u` underflows. On small networks the
-    distribution had been a quarter of an update. It always computes in the precision of ``loc``.
+    two) in about a third of the time, because it checks no bounds and builds no chain of
+    transforms; with small networks, ``TanhNormal`` took a quarter of an update. The correction
+    :math:`\log(1 - \tanh^2 u)` has the closed form :math:`2 (\log 2 - u -
+    \mathrm{softplus}(-2u))` of arXiv:1812.05905's code, which is exact where
+    :math:`1 - \tanh^2 u` underflows. All is computed in the precision of ``loc``.
 
     Args:
         loc: ``[..., A]``, mean before the tanh.
@@ -48,25 +49,25 @@ class SquashedNormal(Distribution):
 
     @property
     def deterministic_sample(self) -> Tensor:
-        """The action ``[..., A]`` of the mean before the tanh: tanh's median, not its mean."""
+        """``[..., A]``, the tanh of ``loc``: the median of the actions, not their mean."""
         return self.loc.tanh()
 
     def __getitem__(self, rows: Tensor | slice) -> SquashedNormal:
-        """The distribution of some rows: what indexes the first dimension."""
+        """Return the distribution of some rows; ``rows`` indexes the first dimension."""
         return type(self)(self.loc[rows], self.scale[rows])
 
     def rsample_and_log_prob(self, sample_shape: Shape = NO_SHAPE) -> tuple[Tensor, Tensor]:
         """Draw actions ``[*sample_shape, ..., A]`` and their log-densities, with gradients.
 
-        The density is of the value before the tanh that made the action, so it stays right where
-        the action rounds to 1.
+        The density is computed from the value before the tanh, not from the action, so it is right
+        even where the action rounds to 1.
         """
         noise = self._noise(sample_shape)
         before_tanh = torch.addcmul(self.loc, self.scale, noise)
         return before_tanh.tanh(), self._log_prob(before_tanh, noise)
 
     def action_of(self, noise: Tensor) -> Tensor:
-        """The actions ``[..., A]`` that draws ``[..., A]`` from a standard normal make."""
+        """Return the actions ``[..., A]`` for standard normal noise ``[..., A]``."""
         return torch.addcmul(self.loc, self.scale, noise).tanh()
 
     def rsample(self, sample_shape: Shape = NO_SHAPE) -> Tensor:

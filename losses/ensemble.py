@@ -1,4 +1,4 @@
-"""Several critics behind the one call that :class:`losses.BCSACLoss` makes."""
+"""Several critics as one module, as :class:`losses.Objective` calls them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 
 class CriticEnsemble(nn.Module):
-    """Independent critics of one shape of input, evaluated one after the other.
+    """Independent critics with the same inputs, evaluated one after the other.
 
     Args:
         critics: modules ``(observation [B, O], action [B, A]) -> [B, 1]``; kept, not copied.
@@ -26,13 +26,17 @@ class CriticEnsemble(nn.Module):
 
     @property
     def num_critics(self) -> int:
-        """E."""
+        """Number of critics E."""
         return len(self.critics)
 
     def forward(self, observation: Tensor, action: Tensor, members: Tensor | None = None) -> Tensor:
-        """Return the values ``[E, B, 1]`` of ``observation [B, O]`` and ``action [B, A]``.
+        """Return the critics' values ``[E, B, 1]``.
 
-        Of ``members [M]`` only, where some are named: ``[M, B, 1]``.
+        Args:
+            observation: ``[B, O]``.
+            action: ``[B, A]``.
+            members: ``[M]``, indices of the critics to run, whose values are ``[M, B, 1]``;
+                ``None`` runs all.
         """
         chosen = range(len(self.critics)) if members is None else members.tolist()
         return torch.stack([self.critics[index](observation, action) for index in chosen])

@@ -1,9 +1,9 @@
 """The arithmetic of BC-SAC as pure functions of tensors.
 
-Every function here takes and returns tensors, reads no module, draws no sample (except
-:func:`subset_minimum` and its draw, which take their generator) and **does not reduce over rows**:
-it returns one value per transition, ``[B]``. Which rows take part, and the denominator of their
-mean, is the business of the caller (:class:`losses.BCSACLoss`).
+The functions take and return tensors, and use no module. They draw no random numbers, except for
+:func:`subset_minimum` and :func:`draw_members`, which take a generator. They **do not reduce over
+rows** but return one value per transition, ``[B]`` or ``[B, 1]``: the caller, a term, decides which
+rows take part and what the denominator of their mean is (:func:`masked_mean` helps with it).
 
 Notation: ``B`` transitions, ``A`` action dimensions, ``E`` critics. A *column* is a ``[B, 1]``
 tensor, as TorchRL stores rewards and terminations. Equations are those of the paper, "Augmenting
@@ -38,13 +38,14 @@ def soft_td_target(
         \hat Q = r + \gamma^n (1 - d) \left[ Q(s', a') - \alpha \log \pi(a' | s') \right],
         \quad a' \sim \pi(\cdot | s')
 
-    Only a *termination* ends the return: at a time limit the state has a future that the episode
-    merely did not show, so a truncated transition bootstraps like any other.
+    Only a *termination* ends the return. After a time limit the episode could have gone on, so a
+    truncated transition bootstraps like any other.
 
     Args:
         reward: ``[B, 1]``; for n-step transitions the discounted sum of the n rewards.
         terminated: ``[B, 1]`` bool, whether the environment's own end was reached.
-        next_q: ``[B, 1]``, the target critics' value of the next state and the policy's action.
+        next_q: ``[B, 1]``, the target critics' value Q' of the next state and the policy's action
+            there.
         gamma: discount per environment step, in [0, 1].
         steps: ``[B, 1]`` environment steps n between the two states; ``None`` means 1 for all.
         next_log_prob: ``[B]``, log-density in nats of the policy's action in the next state;
@@ -77,14 +78,14 @@ def soft_td_target(
 
 
 def positive_advantage(returns: Tensor, value: Tensor, cap: float | None = None) -> Tensor:
-    r"""By how much an episode did better than the policy would: ``max(R - V(s), 0)``.
+    r"""How much better an episode was than the policy's value: ``max(R - V(s), 0)``.
 
     Source: arXiv:1806.05635, section 3, the equation of the self-imitation loss.
 
     Args:
-        returns: ``[B]``, discounted returns R of episodes from the rows' states on.
+        returns: ``[B]``, discounted returns R of the episodes, from the rows' states to their ends.
         value: ``[B]``, values V of these states.
-        cap: the largest advantage that counts; ``None`` for no limit.
+        cap: larger advantages are reduced to this; ``None`` for no limit.
 
     Returns:
         ``[B]``, >= 0.
@@ -101,12 +102,12 @@ def critic_error(q: Tensor, target: Tensor, distance: CriticDistance = "l2") -> 
 
     .. math:: \sum_e (Q_e(s, a) - \hat Q)^2
 
-    There is no factor 1/2 and no division by E, as in pytorch_sac and in TorchRL's ``SACLoss``, so
-    each critic gets the gradient it would get alone.
+    As in pytorch_sac and TorchRL's ``SACLoss``, there is no factor 1/2 and no division by E: each
+    critic gets the gradient that it would get alone.
 
     Args:
         q: ``[E, B, 1]``.
-        target: ``[B, 1]``, a constant to the gradient.
+        target: ``[B, 1]``, without gradient.
         distance: ``l2`` (the paper), ``l1`` or ``smooth_l1`` (TorchRL's default).
 
     Returns:
@@ -144,12 +145,12 @@ def temperature_objective(
 ) -> Tensor:
     r"""What the temperature minimises: ``-log(alpha) (log pi(a|s) + H)``, ``a ~ pi``.
 
-    At the minimum over alpha the policy's mean entropy is the target H (arXiv:1812.05905, eq. 18,
-    in the log-alpha form that TorchRL uses; pytorch_sac's form has alpha in place of log alpha,
-    which scales the gradient by alpha and leaves its sign).
+    The gradient vanishes where the policy's mean entropy is the target H (arXiv:1812.05905, eq. 18,
+    with log alpha as in TorchRL; pytorch_sac has alpha in its place, which multiplies the gradient
+    by alpha and keeps its sign).
 
     Args:
-        log_prob: ``[B]`` in nats; detached here, the actor has no part in this.
+        log_prob: ``[B]`` in nats; detached here, so that no gradient reaches the actor.
         log_temperature: ``[]``.
         target_entropy: H in nats.
 
@@ -170,11 +171,11 @@ def subset_minimum(
 
     Args:
         q: ``[E, B, 1]``.
-        size: critics that take part, 1 to E; ``None`` or E takes all and draws nothing.
-        generator: source of the draw, on ``q``'s device; ``None`` is torch's global one.
+        size: number of critics to draw, 1 to E; ``None`` or E takes all without a draw.
+        generator: for the draw, on ``q``'s device; ``None`` is torch's global one.
 
     Returns:
-        ``[B, 1]``. More critics in the minimum make a lower, more pessimistic value.
+        ``[B, 1]``; the more critics, the lower and more pessimistic.
 
     Raises:
         ValueError: if ``q`` is not ``[E, B, 1]`` or ``size`` is not in 1 to E.
@@ -190,9 +191,9 @@ def draw_members(
     device: torch.device | str = "cpu",
     generator: torch.Generator | None = None,
 ) -> Tensor | None:
-    """Indices ``[size]`` of the critics that a subset minimum takes; ``None`` for all of them.
+    """Draw the indices ``[size]`` of the critics for a subset minimum; ``None`` means all of them.
 
-    Drawing before the critics run saves running those that do not take part.
+    With the draw made before the critics run, only those that take part need to run.
 
     Raises:
         ValueError: if ``size`` is not in 1 to ``ensemble``.
@@ -225,13 +226,13 @@ ENSEMBLE_VALUES: Mapping[str, Callable[[Tensor], Tensor]] = {
     "min": subset_minimum,
     "mean": ensemble_mean,
 }
-"""What an actor may maximise of its ``[E, B, 1]`` critic values, by name in a configuration."""
+"""Ways to make one value ``[B, 1]`` of E critics' ``[E, B, 1]``, by name in a configuration."""
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
     """Mean of ``values`` over the rows that ``mask`` marks; 0 with zero gradient if there are none.
 
-    The shape never depends on the data, so an accelerator need not wait for the count.
+    No shape depends on the data, so the host of an accelerator does not have to wait for a count.
 
     Args:
         values: ``[B]``; those of unmarked rows may be anything, NaN too.

@@ -1,4 +1,4 @@
-"""The actor's imitation term (paper, sections III-B to III-D) and what it weighs rows by."""
+"""The actor's imitation term (paper, sections III-B to III-D) and the weights of its rows."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from losses.terms import ActorTerm, TermValue
 ErrorName = Literal["nll", "mse", "fixed_width"]
 
 FORMER_NAMES = {"bc": "bc_nll", "grad_cosine_bc": "grad_cosine"}
-"""What the metrics of the paper's term have been called since there were no others beside it."""
+"""Names that two metrics of the paper's term kept from before other terms could stand beside it."""
 
 
 class RowWeight(Protocol):
-    """Factors on the rows' imitation errors: which demonstrated steps count how much."""
+    """Factors on the imitation errors of the rows: how much each demonstrated step counts."""
 
     def __call__(self, seen: Demonstrations) -> Tensor:
-        """Return ``[D]``, numbers or bool; those of other rows than demonstrations do not count."""
+        """Return ``[D]``, numbers or bool; those of rows that are no demonstrations are unused."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Emphasis:
     """Factors by row, where some demonstrated steps matter more than others.
 
     Attributes:
-        of: from rows ``[D]`` of the batch to factors ``[D]``.
+        of: function of rows ``[D]`` of the batch that returns their factors ``[D]``.
     """
 
     of: Callable[[TensorDictBase], Tensor]
@@ -58,7 +58,7 @@ class QFilter:
     Source: arXiv:1709.10089, section V-C.
 
     Attributes:
-        value: the critics' ``"min"`` or ``"mean"`` is what counts.
+        value: which of the critics' values are compared, their ``"min"`` or ``"mean"``.
     """
 
     value: EnsembleValue = "min"
@@ -80,10 +80,10 @@ class QFilter:
 
 @dataclass(frozen=True)
 class Imitation(ActorTerm):
-    """Mean error of the policy on the demonstration rows, times lambda.
+    """Mean error of the policy on the demonstration rows, weighted by lambda.
 
     Lambda is a constant (BC-SAC), ``lambda_0 alpha^n`` (DBC-SAC, section III-D) or any other
-    schedule. The divisor of the mean is the number of demonstration rows, whatever they weigh.
+    schedule. The divisor of the mean is the number of demonstration rows, whatever their weights.
 
     Attributes:
         error: ``"nll"`` (section III-B), ``"mse"`` of the deterministic action, or its regression
@@ -91,8 +91,9 @@ class Imitation(ActorTerm):
         weight: lambda, a number or a schedule of the number of updates.
         margin: demonstrated actions are kept this far inside (-1, 1) before they are scored; see
             :func:`~losses.imitation_errors.clamp_to_support`.
-        row_weights: whose product is the factor on a row's error; none is 1.
-        rule: such as :class:`~losses.rules.GradientRatio`; ``None`` is the schedule's weight.
+        row_weights: the factor on a row's error is the product of these; without any it is 1.
+        rule: computes the weight from the gradients, such as
+            :class:`~losses.rules.GradientRatio`; ``None`` uses the schedule's.
         name: of the term. With another than the default the metrics are ``NAME``,
             ``NAME_weight``, ``grad_norm_NAME`` and ``grad_cosine_NAME``.
 
@@ -116,7 +117,7 @@ class Imitation(ActorTerm):
     )
 
     def __post_init__(self) -> None:
-        """Validate the settings; a list of row weights, as configurations give it, is a tuple."""
+        """Validate the settings; a list of row weights becomes a tuple."""
         super().__post_init__()
         object.__setattr__(self, "row_weights", tuple(self.row_weights))
         require("error", self.error, self.error in IMITATION_ERRORS, "nll, mse or fixed_width")
@@ -124,16 +125,16 @@ class Imitation(ActorTerm):
 
     @property
     def metric(self) -> str:
-        """Of its error."""
+        """Name in the logs of the mean error."""
         return FORMER_NAMES.get(super().metric, super().metric)
 
     @property
     def cosine_metric(self) -> str:
-        """Of the cosine between its gradient and the reinforcement term's."""
+        """Name in the logs of the cosine between its gradient and the reinforcement term's."""
         return FORMER_NAMES.get(super().cosine_metric, super().cosine_metric)
 
     def __call__(self, seen: ActorPass) -> TermValue:
-        """Compute the loss; a constant 0 where the batch has no marks."""
+        """Compute the loss; a constant 0 if the batch does not mark demonstrations."""
         shown = seen.demonstrations
         weights = None
         if self.row_weights and shown.batch.is_demo is not None:
@@ -141,13 +142,16 @@ class Imitation(ActorTerm):
         return TermValue(self.mean_error(shown.policy, shown.batch, weights))
 
     def demonstration_error(self, seen: ActorPass) -> Tensor:
-        """The mean error ``[]`` of all demonstrations alike: no critic is run."""
+        """Return the mean error ``[]`` without row weights, for which no critic is run."""
         return self.mean_error(seen.policy, seen.batch)
 
     def mean_error(self, policy: TanhNormal, batch: Batch, weights: Tensor | None = None) -> Tensor:
-        """Return the mean over the demonstration rows of their imitation errors ``[]``.
+        """Return the mean imitation error ``[]`` of the demonstration rows.
 
-        Each is multiplied by its row's of the ``weights [D]``; the divisor is the number of rows.
+        Args:
+            policy: the distribution in the states of ``batch``.
+            batch: ``[D]``.
+            weights: ``[D]``, factors on the rows' errors; the divisor stays the number of rows.
         """
         action = batch.demonstrated_action
         if batch.is_demo is None:

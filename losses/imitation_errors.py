@@ -52,7 +52,7 @@ def negative_log_likelihood(policy: TanhNormal, action: Tensor) -> Tensor:
 def mean_action_error(policy: TanhNormal, action: Tensor) -> Tensor:
     """Squared distance between the policy's deterministic action and ``action``.
 
-    Averaged over the ``A`` dimensions. It leaves the policy's scale to the entropy term.
+    Averaged over the ``A`` dimensions. It does not train the policy's scale.
 
     Args:
         policy: a distribution with ``B`` rows over ``A`` dimensions.
@@ -71,9 +71,9 @@ def fixed_width_nll(policy: TanhNormal, action: Tensor) -> Tensor:
         -\sum_i \log N(a_i;\, \tanh \mu_i, 0.2) =
         \sum_i \frac{(a_i - \tanh \mu_i)^2}{2 \cdot 0.2^2} + A \log(0.2 \sqrt{2 \pi})
 
-    A regression of the bounded action, finite and smooth where demonstrated actions stand at their
-    bounds, in the unit and about the size of :func:`negative_log_likelihood`, so that one lambda
-    serves both. It leaves the policy's own scale to the other terms.
+    It is a regression on the bounded action, so it is finite and smooth where demonstrated actions
+    are at their bounds. It has the unit and about the size of :func:`negative_log_likelihood`, so
+    that the same lambda suits both. It does not train the policy's scale.
 
     Args:
         policy: a distribution with ``B`` rows over ``A`` dimensions.

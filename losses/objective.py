@@ -1,4 +1,4 @@
-"""Terms as one loss module: one batch, one forward pass of the actor, one sum."""
+"""A list of terms as one loss module."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from losses.temperature import Temperature
 from losses.terms import ActorTerms, CriticTerms, Term, TermValue, weighted
 
 averaging = cache(get_ema_multi_avg_fn)
-"""The averaging function of AveragedModel without its shell, which copies instead of averaging at
-the first update and reads a counter back from the device at each. Kept here, not in the loss,
-because what holds a local function cannot be pickled."""
+"""The averaging function of torch's ``AveragedModel``, without that class: its first update copies
+instead of averaging, and each update reads a counter back from the device. It is kept outside the
+loss because an object that holds a local function cannot be pickled."""
 
 
 class Objective(LossModule):
-    """Networks and the terms that train them, summed with their weights.
+    """Networks, and the terms that train them: their sum, each times its weight, is minimised.
 
-    One flat batch ``[B]`` serves all terms. Rows marked ``is_demo`` are samples of the
-    demonstration distribution D. Terms that reinforce use the other rows, or all of them with
-    ``rl_on_demos``. Every term reaches the parameters that it trains only, so the backward passes
-    may be taken together or one by one, in any order::
+    All terms are computed on one flat batch ``[B]``. Rows marked ``is_demo`` are samples of the
+    demonstration distribution D. Reinforcement terms use the other rows, or all rows with
+    ``rl_on_demos``. The gradient of a term reaches only the network that it trains, so the
+    backward passes may be made together or one by one, in any order::
 
         Objective(actor, critic, [
             SoftTD(gamma=0.995, entropy=False), SoftValue("min"),
@@ -51,15 +51,16 @@ class Objective(LossModule):
     Args:
         actor: policy over one observation key with a ``TanhNormal``-like distribution on (-1, 1).
         critic: module ``(observation [B, O], action [B, A]) -> [E, B, 1]``, or a list of modules
-            that return ``[B, 1]`` each. If it has ``num_critics`` and its ``forward`` takes
-            ``members [M]`` too, critics that a target's subset leaves out are not run.
-        terms: each with a name of its own.
-        rl_on_demos: whether terms that reinforce use the demonstration rows too.
-        main_rows: rows before the demonstrations in every batch with marks, where all are built
-            alike; ``None`` counts them each time, for which an accelerator's host must wait.
+            that return ``[B, 1]`` each. If the module has ``num_critics`` and its ``forward``
+            also takes ``members [M]``, a target runs only the critics of its random subset.
+        terms: each with another name.
+        rl_on_demos: whether reinforcement terms use the demonstration rows too.
+        main_rows: number of rows before the demonstrations, if it is the same in every batch with
+            marks; ``None`` counts them in each, for which the host of an accelerator must wait.
 
     Raises:
-        ValueError: for terms that do not go together, or an actor with more than one input.
+        ValueError: for terms that cannot be combined (:class:`~losses.composition.Composition`),
+            or an actor with more than one input.
     """
 
     _AcceptedKeys = BatchKeys
@@ -111,9 +112,9 @@ class Objective(LossModule):
             tensordict: ``[B]`` with :attr:`in_keys`.
 
         Returns:
-            Scalars under :attr:`out_keys`. Their ``loss_*`` entries sum to what is minimised, each
-            times its weight; the rest are detached: of terms with a weight it and the loss
-            without it, and the means of what the terms measure.
+            Scalars under :attr:`out_keys`. The ``loss_*`` entries are the losses times their
+            weights; their sum is minimised. All other entries are detached: the weights, the
+            losses without them, and the means of what the terms measure.
         """
         found: dict[str, Tensor] = {}
         critic, actor = self.critic_terms(tensordict), self.actor_terms(tensordict)
@@ -133,7 +134,7 @@ class Objective(LossModule):
         return TensorDict({key: found[key] for key in self.out_keys})
 
     def critic_terms(self, tensordict: TensorDictBase) -> CriticTerms:
-        """Compute the critics' terms on the rows that reinforce.
+        """Compute the critics' terms on the rows for reinforcement.
 
         Args:
             tensordict: ``[B]`` with what these terms read.
@@ -154,9 +155,9 @@ class Objective(LossModule):
         return ActorTerms(values, seen.sample.log_prob.detach() if reinforces else None)
 
     def bc_loss(self, tensordict: TensorDictBase) -> Tensor:
-        """Return the error ``[]`` of the first term that imitates, of all demonstrations alike.
+        """Return the mean error ``[]`` of the first term that imitates, without row weights.
 
-        No critic is run. Where the term weighs no rows, it is that term of :meth:`actor_terms`.
+        No critic is run. If the term has no row weights, it is its loss in :meth:`actor_terms`.
 
         Raises:
             ValueError: if no term imitates.
@@ -167,7 +168,7 @@ class Objective(LossModule):
         return next(iter(errors.values()))
 
     def demonstration_errors(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
-        """Return the errors ``[]`` of the terms that imitate, by metric, as :meth:`bc_loss`'s."""
+        """Return :meth:`bc_loss` of every term that imitates, by the name of its metric."""
         seen = ActorPass(self, self.batch(tensordict))
         terms = self.composition.of_actor
         errors = ((term.metric, term.demonstration_error(seen)) for term in terms)
@@ -181,7 +182,7 @@ class Objective(LossModule):
                 ``[R]`` of actions sampled already (:attr:`ActorTerms.log_prob`).
 
         Raises:
-            ValueError: if no term is about the temperature.
+            ValueError: if the objective has no temperature.
         """
         temperature = self.composition.temperature
         if temperature is None:
@@ -199,35 +200,38 @@ class Objective(LossModule):
         return self.log_alpha.detach().exp()
 
     def weight_of(self, name: str) -> float:
-        """The weight of a term at the present number of updates, without its rule."""
+        """Return a term's weight at the present number of updates, before its rule."""
         return self.composition[name].weight_at(self.updates)
 
     def configure(self, name: str, /, **settings: Any) -> None:
-        """Give the term ``name`` other settings, from the next call on.
+        """Change settings of the term ``name``, from the next call on.
 
-        What has been compiled or recorded keeps those that it was made with, but for ``weight``.
+        Compiled or recorded updates keep the settings that they were made with, except for
+        ``weight``.
 
         Raises:
-            ValueError: for an unknown term, another name or a setting outside its range.
+            ValueError: for an unknown term, a change of its name, or a value outside its range.
+            TypeError: for a setting that the term does not have.
         """
         self.composition = self.composition.with_settings(name, **settings)
 
     def after_step(self) -> dict[str, Tensor]:
-        """What the terms log of the state that an update leaves behind, detached scalars."""
+        """Return the detached scalars ``[]`` that the terms log about the state after an update."""
         found: dict[str, Tensor] = {}
         for term in self.composition.terms:
             found |= term.after_step(self)
         return found
 
     def advance(self) -> None:
-        """Count one update; the schedules of the weights move on."""
+        """Count one update, by which the schedules of the weights move on."""
         self.updates += 1
 
     @torch.no_grad()
     def update_target(self) -> None:
-        """Move the target critics by a term's ``tau`` towards the critics; copy their buffers.
+        """Move the target critics towards the critics by ``tau``, and copy the critics' buffers.
 
-        Buffers are statistics (of a normalisation, say), which an average of two would falsify.
+        Buffers hold statistics, of a normalisation for example, whose average would be wrong.
+        Without a term that has a ``tau``, nothing happens.
         """
         tau = self.composition.tau
         if tau is None:
@@ -266,15 +270,15 @@ class Objective(LossModule):
     # ----------------------------------------------------------------------------- shared pieces
 
     def batch(self, tensordict: TensorDictBase) -> Batch:
-        """Return ``tensordict [B]`` as the terms read it."""
+        """Return ``tensordict [B]`` as a :class:`~losses.batch.Batch` for the terms."""
         return Batch(tensordict, self.tensor_keys)
 
     def _reinforcement_rows(self, batch: Batch) -> Rows | None:
-        """Return the rows ``[R]`` for terms that reinforce, ``None`` for all of them."""
+        """Return the R rows for reinforcement, ``None`` for all of them."""
         return None if self.rl_on_demos else reinforcement_rows(batch, self.main_rows)
 
     def _reinforcement_batch(self, tensordict: TensorDictBase) -> Batch:
-        """Return the transitions ``[R]`` that the terms which reinforce use."""
+        """Return the transitions ``[R]`` for reinforcement."""
         batch = self.batch(tensordict)
         rows = self._reinforcement_rows(batch)
         return batch if rows is None else batch[rows]

@@ -1,4 +1,4 @@
-"""What the terms of one update share: a batch, and what the networks make of it once."""
+"""What the terms of one update share: the batch, and network outputs that are computed once."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from losses.policy import Rows, draw, policy_distribution
 
 
 class Networks(Protocol):
-    """What learns, and what is needed to let it."""
+    """The networks of an objective, as its terms see them."""
 
     actor: ProbabilisticActor
     critic: nn.Module
     target_critic: nn.Module
     ensemble_size: int | None
-    """Critics of which some can be run alone; ``None`` where only all can."""
+    """Number of critics, if ``critic`` can run some of them alone; ``None`` if it cannot."""
 
     @property
     def alpha(self) -> Tensor:
@@ -29,7 +29,7 @@ class Networks(Protocol):
 
 
 class CriticPass:
-    """The critics' terms of one update, on the R rows that reinforce.
+    """What the critics' terms of one update share, on the R rows for reinforcement.
 
     Args:
         networks: Of the objective.
@@ -42,17 +42,17 @@ class CriticPass:
 
     @cached_property
     def q(self) -> Tensor:
-        """``[E, R, 1]``, the critics' values of the batch's own actions, with their gradients."""
+        """``[E, R, 1]``, the critics' values of the batch's actions, with gradients."""
         return self.networks.critic(self.batch.observation, self.batch.action)
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Actions of the policy in the states that reinforce.
+    """Actions drawn from the policy in the R states for reinforcement.
 
     Attributes:
         observation: ``[R, O]``.
-        action: ``[R, A]``, reparametrised.
+        action: ``[R, A]``, reparametrised, so that gradients reach the policy.
         log_prob: ``[R]``, their log-densities in nats.
     """
 
@@ -63,11 +63,11 @@ class Sample:
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """Rows among which the demonstrations are, and the policy in them.
+    """D rows of the batch that include all demonstrations, and the policy in their states.
 
     Attributes:
         networks: Of the objective.
-        policy: the distribution of D rows.
+        policy: the policy's distribution in the D states.
         batch: ``[D]``; ``batch.is_demo`` says which of them are demonstrations.
     """
 
@@ -77,12 +77,12 @@ class Demonstrations:
 
 
 class ActorPass:
-    """One forward pass of the actor on a batch, which all of the actor's terms share.
+    """What the actor's terms of one update share: one forward pass of the actor on a batch.
 
     Args:
         networks: Of the objective.
         batch: ``[B]`` transitions.
-        rows: The R rows that reinforce, ``None`` for all of them.
+        rows: The R rows for reinforcement, ``None`` for all of them.
     """
 
     def __init__(self, networks: Networks, batch: Batch, rows: Rows | None = None) -> None:
@@ -93,14 +93,14 @@ class ActorPass:
 
     @cached_property
     def sample(self) -> Sample:
-        """Drawn when a term first asks; demonstrations draw no actions."""
+        """Actions in the R rows for reinforcement, drawn when a term first asks for them."""
         rows = slice(None) if self.rows is None else self.rows
         action, log_prob = draw(self.policy, rows)
         return Sample(self.batch.observation[rows], action, log_prob)
 
     @cached_property
     def demonstrations(self) -> Demonstrations:
-        """The rows after those that reinforce, or all where they are not that well sorted."""
+        """The rows after those for reinforcement; all rows, if the batch is not sorted so."""
         if isinstance(self.rows, slice) and isinstance(self.policy, SquashedNormal):
             # After them are demonstrations alone, before them none.
             others = slice(self.rows.stop, None)

@@ -15,17 +15,17 @@ from losses.settings import require
 
 @dataclass(frozen=True)
 class Proposal:
-    r"""A policy that imitates proposes its action beside the one that learns.
+    r"""Choice between the actions of an imitation policy and of the policy that learns.
 
     .. math:: a^* = \arg\max_{a \in \{a_{IL}, a_{RL}\}} Q(s, a)
 
-    Source: arXiv:2311.02198, section 4: the actor proposal where one acts, the bootstrap proposal
-    in the critics' targets; the soft variant draws ``a`` with probability
+    Source: arXiv:2311.02198, section 4, where it is the actor proposal when acting, and the
+    bootstrap proposal in the critics' targets. The soft variant draws ``a`` with probability
     :math:`\propto \exp(\beta Q(s, a))`.
 
     Attributes:
-        actor: the policy that imitates; it does not learn, and its mean action is proposed.
-        beta: of the soft variant; ``None`` takes the better one.
+        actor: the imitation policy, which is not trained; its mean action is proposed.
+        beta: of the soft variant; ``None`` takes the action with the higher value.
 
     Raises:
         SettingError: for a ``beta`` that is not positive.
@@ -51,13 +51,13 @@ class Proposal:
 
         Args:
             observation: ``[B, O]``.
-            own: ``[B, A]``, the action of the policy that learns.
-            value: from observations ``[2 B, O]`` and actions ``[2 B, A]``, both proposals at once,
-                to their values ``[2 B, 1]``.
-            greedy: whether to take the better one in any case.
+            own: ``[B, A]``, the actions of the policy that learns.
+            value: function that is called once for both proposals, with observations ``[2 B, O]``
+                and actions ``[2 B, A]``, and returns their values ``[2 B, 1]``.
+            greedy: whether to take the action with the higher value even with a ``beta``.
 
         Returns:
-            The actions ``[B, A]`` and their values ``[B, 1]``.
+            The chosen actions ``[B, A]`` and their values ``[B, 1]``.
         """
         imitating: TanhNormal = policy_distribution(self.actor, observation)
         shown = imitating.deterministic_sample

@@ -1,4 +1,4 @@
-"""Rules that set the weight of an actor's term by what the gradients are."""
+"""Rules that compute the weight of an actor's term from the norms of the gradients."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from losses.settings import require
 
 
 class WeightRule(Protocol):
-    """How the weight of a term follows from its schedule's and from the gradients' sizes."""
+    """Computes the weight of a term from its schedule's weight and the gradients' norms."""
 
     @property
     def factor(self) -> float:
-        """On the schedule's weight, before it is handed to the rule."""
+        """Number that the schedule's weight is multiplied by before the rule is called."""
 
     def __call__(self, weight: Tensor, reference: Tensor, own: Tensor) -> Tensor:
         """Return the weight ``[]``.
@@ -30,13 +30,14 @@ class WeightRule(Protocol):
 
 @dataclass(frozen=True)
 class GradientRatio:
-    """``lambda(n) ratio |g_RL| / |g|``: a term's gradient has a fixed size relative to RL's.
+    """Weight ``lambda(n) ratio |g_RL| / |g|``: g has a fixed size relative to RL's gradient.
 
-    Whatever the scale of the rewards. Deviation: it is not in the paper, whose fixed lambda lets
-    the share of imitation drift by two orders of magnitude during a run; no rule is the paper's.
+    The size is then the same whatever the scale of the rewards. Deviation: this is not in the
+    paper, whose fixed lambda lets the share of imitation drift by two orders of magnitude during a
+    run. Undo: ``rule=None``.
 
     Attributes:
-        ratio: >= 0, the term's share at a schedule's weight of 1.
+        ratio: >= 0, ``weight |g| / |g_RL|`` where the schedule's lambda is 1.
     """
 
     ratio: float

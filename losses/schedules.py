@@ -23,7 +23,7 @@ class Schedule(Protocol):
 
 @dataclass(frozen=True)
 class ConstantWeight:
-    """Lambda of BC-SAC (section III-C).
+    """The same weight at every update: lambda of BC-SAC (section III-C).
 
     Attributes:
         init: the weight at every update, >= 0.

@@ -25,25 +25,26 @@ from losses.terms import ActorTerm, TermValue
 class SelfImitation(ActorTerm):
     r"""``-log pi(a|s) max(R - V(s), 0)``, mean over the rows whose episode's end is known.
 
-    Source: arXiv:1806.05635, section 3. Such rows are those of demonstrations and of whole episodes
-    of the policy's own, whichever the batch marks as ``is_demo``; all rows where it has no marks.
+    Source: arXiv:1806.05635, section 3. Rows have a known end if they come from whole episodes,
+    demonstrations or the policy's own; their entry ``to_end`` says so
+    (:attr:`~losses.batch.Batch.to_end`).
 
-    V is SAC's soft value, ``Q(s, a') - alpha log pi(a'|s)`` of one ``a' ~ pi``; the paper's is a
-    network of its own. R is the discounted sum of the rewards until the end of the episode.
+    V is SAC's soft value, ``Q(s, a') - alpha log pi(a'|s)`` of one sampled ``a' ~ pi``; in the
+    paper it is a separate network. R is the discounted sum of rewards until the episode's end.
 
-    Deviation: an episode that a time limit cuts goes on with V of its last state, as the critics'
-    targets do; the paper's return ends there, which for rewards below zero praises whatever was
-    done last. Undo: ``bootstrap=False``.
+    Deviation: where a time limit ends an episode, the discounted V of its last state is added to
+    R, as in the critics' targets. The paper's return ends there, so that with rewards below zero
+    the last actions before the limit look good whatever they are. Undo: ``bootstrap=False``.
 
     Attributes:
         weight: of the term, a number or a schedule of the number of updates.
         gamma: discount per environment step, in [0, 1].
-        error: ``"nll"`` is the paper's; the others of :class:`~losses.Imitation` likewise.
+        error: ``"nll"`` (the paper), or another error of :class:`~losses.Imitation`.
         margin: actions are kept this far inside (-1, 1) before they are scored.
-        value: the critics' ``"min"`` or ``"mean"`` is Q.
-        entropy: whether V carries the entropy bonus, as the critics' targets do or do not.
-        bootstrap: whether a return goes on behind a time limit.
-        cap: the largest advantage that counts; ``None`` for no limit.
+        value: what Q is of the critics' values, ``"min"`` or ``"mean"``.
+        entropy: whether V includes the entropy bonus; the same as in the critics' targets.
+        bootstrap: whether V of the last state is added to a return that a time limit ends.
+        cap: larger advantages are reduced to this; ``None`` for no limit.
         name: of the term.
 
     Raises:
@@ -78,9 +79,10 @@ class SelfImitation(ActorTerm):
         require("cap", self.cap, self.cap is None or self.cap > 0.0, "None or > 0")
 
     def __call__(self, seen: ActorPass) -> TermValue:
-        """Compute the loss; a constant 0 where the batch tells no ends of episodes.
+        """Compute the loss; a constant 0 if the batch has no ``to_end``.
 
-        Measured is ``better_share``: of the rows with a known end, those whose return exceeds V.
+        It measures ``better_share []``, the share of the rows with a known end whose return is
+        above V.
         """
         shown = seen.demonstrations
         action, end = shown.batch.demonstrated_action, shown.batch.to_end
@@ -101,7 +103,7 @@ class SelfImitation(ActorTerm):
         last = policy_distribution(networks.actor, end["observation"])
         returns = F.soft_td_target(
             reward=end["reward"],
-            # What a return does not go on from is as good as terminal.
+            # Without a bootstrap, every end counts as a termination.
             terminated=end["terminated"] if self.bootstrap else end["steps"] >= 0,
             # This V has the entropy bonus already, where there is one.
             next_q=self._value(networks, last, end["observation"]).unsqueeze(-1),

@@ -6,11 +6,11 @@ from typing import Any
 
 
 class SettingError(ValueError):
-    """A setting is out of its range; says its name, what it must be and what it is.
+    """A setting is out of its range; the message has its name, its range and its value.
 
     Attributes:
         name: of the setting, as the class that refuses it calls it.
-        expected: completes "NAME must be".
+        expected: its range, to complete the sentence "NAME must be ...".
         value: what was given.
     """
 
@@ -22,7 +22,7 @@ class SettingError(ValueError):
         return f"{self.name} must be {self.expected}, got {self.value!r}"
 
     def renamed(self, name: str) -> SettingError:
-        """The same for whoever gave the setting under another name."""
+        """Return the same error for a caller who knows the setting by another name."""
         return SettingError(name, self.expected, self.value)
 
 

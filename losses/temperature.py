@@ -1,4 +1,4 @@
-"""The temperature's term: what holds the policy's entropy where it should be."""
+"""The temperature's term, which keeps the policy's entropy at a target."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from losses.terms import Term, TermValue
 
 @dataclass(frozen=True)
 class Temperature(Term):
-    """``-log(alpha) (log pi(a|s) + H)`` of the policy's own actions, mean over the R rows.
+    """``-log(alpha) (log pi(a|s) + H)`` of actions drawn from the policy, mean over the R rows.
 
     Attributes:
         init: initial entropy weight alpha, > 0.
         target_entropy: H in nats; ``"auto"`` is minus the number of action dimensions, read from
             the actor's spec.
-        learn: ``False`` keeps alpha where it starts.
+        learn: ``False`` keeps alpha at ``init``.
         name: of the term.
 
     Raises:
@@ -47,7 +47,7 @@ class Temperature(Term):
         require("target_entropy", entropy, holds, "auto or a number of nats")
 
     def resolved(self, actor: ProbabilisticActor) -> Self:
-        """With the target entropy as a number.
+        """Return the term with the target entropy as a number.
 
         Raises:
             ValueError: for ``"auto"`` and an actor without a spec.
@@ -61,17 +61,17 @@ class Temperature(Term):
 
         Args:
             log_prob: ``[R]`` in nats.
-            log_alpha: ``[]``, which learns.
+            log_alpha: ``[]``, the parameter that is trained.
         """
         entropy = float(self.target_entropy)
         return TermValue(F.temperature_objective(log_prob, log_alpha, entropy).mean())
 
     def after_step(self, networks: Networks) -> Mapping[str, Tensor]:
-        """The temperature ``[]``."""
+        """Return the temperature ``[]``."""
         return {"alpha": networks.alpha}
 
     def constants(self) -> Mapping[str, float]:
-        """The entropy that is aimed at, in nats."""
+        """Return the target entropy in nats."""
         return {"target_entropy": float(self.target_entropy)}
 
 

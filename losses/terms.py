@@ -1,9 +1,10 @@
-"""What a term of the objective is, and what the terms of one update come to.
+"""What a term of the objective is, and the values of the terms on one batch.
 
-A term is a frozen dataclass of its settings that can be called. Everything that is done with it
-follows from what it says of itself here: it is summed and differentiated with the others, its
-metrics are logged under its name, and its weight moves. A new one is a class in a file of its own
-(CONTRIBUTING.md, "How to add a term").
+A term is a frozen dataclass that holds its settings and returns its loss when it is called.
+Nothing else needs to know the class of a term: by the attributes declared here it is summed and
+differentiated together with the others, its metrics are logged under its name, and its weight
+follows its schedule. A new term is a class in a file of its own (CONTRIBUTING.md, "a term of the
+objective").
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from losses.schedules import ConstantWeight, Schedule
 
 @dataclass(frozen=True)
 class TermValue:
-    """What a term is on one batch.
+    """Loss and measurements of a term on one batch.
 
     Attributes:
-        loss: ``[]``, not times its weight.
-        measured: detached tensors by name, whose means are logged.
+        loss: ``[]``, before it is multiplied by the term's weight.
+        measured: detached tensors by name, of which means are logged.
     """
 
     loss: Tensor
@@ -38,115 +39,121 @@ class TermValue:
 class Term(ABC):
     """One term of the objective: settings, a name and a loss.
 
-    Subclasses are frozen dataclasses. Where one has a ``__post_init__`` of its own, it calls this
-    one's, which makes a number given as weight a constant schedule.
+    Subclasses are frozen dataclasses. A ``__post_init__`` of a subclass must call this class's,
+    which turns a number given as weight into a constant schedule.
     """
 
     reads: ClassVar[tuple[NestedKey, ...]] = ()
-    """The entries of the batch that it reads, named as in :class:`~losses.batch.BatchKeys`."""
+    """Entries of the batch that the term reads, named as in :class:`~losses.batch.BatchKeys`."""
     reinforces: ClassVar[bool] = False
-    """Whether it is about the rows that reinforce, and so needs some and a temperature."""
+    """Whether the term is reinforcement: it needs a temperature, and rows to reinforce on."""
     logs: ClassVar[tuple[str, ...]] = ()
-    """What of :attr:`TermValue.measured` is logged at each update."""
+    """Names in :attr:`TermValue.measured` whose means are logged at each update."""
     logs_after_step: ClassVar[tuple[str, ...]] = ()
-    """What :meth:`after_step` gives."""
+    """Names of the scalars that :meth:`after_step` returns."""
     returns: ClassVar[tuple[str, ...]] = ()
-    """What of :attr:`TermValue.measured` only the objective's ``forward`` gives besides."""
+    """Names in :attr:`TermValue.measured` that the objective's ``forward`` returns, not logged."""
 
     name: str
-    """Of the term in its objective, which has each name once."""
+    """Name of the term, unique in its objective."""
     weight: Schedule | float | None = None
-    """Of its loss in the sum; ``None`` is 1 at all times, with nothing to log."""
+    """Factor on the loss in the objective; ``None`` is always 1, and no weight is logged."""
 
     def __post_init__(self) -> None:
-        """Make a number given as weight a schedule."""
+        """Turn a number given as weight into a schedule."""
         if self.weight is not None and not callable(self.weight):
             object.__setattr__(self, "weight", ConstantWeight(float(self.weight)))
 
     def weight_at(self, updates: int) -> float:
-        """The weight of the update that follows ``updates`` completed ones, without its rule."""
+        """Return the schedule's weight for the update that follows ``updates`` completed ones."""
         return self.weight(updates) if callable(self.weight) else 1.0
 
     def resolved(self, actor: ProbabilisticActor) -> Self:
-        """Itself with what was left open settled for ``actor``."""
+        """Return the term with settings that depend on ``actor`` filled in."""
         return self
 
     def after_step(self, networks: Networks) -> Mapping[str, Tensor]:
-        """What is logged of the state that an update leaves behind, detached scalars."""
+        """Return detached scalars ``[]`` to log about the networks after an update."""
         return {}
 
     def constants(self) -> Mapping[str, float]:
-        """Settings that stand beside the metrics, which would mean little without them."""
+        """Return settings to log beside the metrics, which are hard to judge without them."""
         return {}
 
     # ------------------------------------------------------------------------ names of metrics
 
     @property
     def loss_key(self) -> str:
-        """Of its loss, times its weight, among an objective's ``out_keys``."""
+        """Key of the loss, times its weight, among the objective's ``out_keys``."""
         return f"loss_{self.name}"
 
     @property
     def metric(self) -> str:
-        """Of its loss in the logs, not times its weight."""
+        """Name in the logs of the loss, before it is multiplied by its weight."""
         return self.loss_key if self.weight is None else self.name
 
     @property
     def weight_metric(self) -> str:
-        """Of its weight."""
+        """Name in the logs of the weight."""
         return f"{self.name}_weight"
 
     @property
     def norm_metric(self) -> str:
-        """Of its gradient's norm, not times its weight."""
+        """Name in the logs of the norm of the loss's gradient, without the weight."""
         return f"grad_norm_{self.name}"
 
     @property
     def cosine_metric(self) -> str:
-        """Of the cosine between its gradient and the reinforcement term's."""
+        """Name in the logs of the cosine between its gradient and the reinforcement term's."""
         return f"grad_cosine_{self.name}"
 
 
 class CriticTerm(Term):
-    """A term that trains the critics, and nothing else."""
+    """A term that trains the critics and no other network."""
 
     reads: ClassVar[tuple[NestedKey, ...]] = ("observation", "action")
 
     tau: float | None = None
-    """Share of the critics that one update of the target critics moves into them, in [0, 1].
+    """Step in [0, 1] of the target critics towards the critics at each of their updates.
 
-    At most one term of an objective has one; without, the target critics stay as they are.
+    At most one term of an objective has one. If none has, the target critics never change.
     """
 
     @abstractmethod
     def __call__(self, seen: CriticPass) -> TermValue:
-        """Compute the loss on the rows that reinforce."""
+        """Compute the loss on the R rows for reinforcement."""
 
 
 class ActorTerm(Term):
-    """A term that trains the actor, and nothing else; all of them see one forward pass of it."""
+    """A term that trains the actor and no other network; all share one forward pass of it."""
 
     reads: ClassVar[tuple[NestedKey, ...]] = ("observation",)
 
     rule: WeightRule | None = None
-    """Sets the weight by the sizes of the gradients; ``None`` leaves it to :attr:`weight`."""
+    """Computes the weight in use from the gradients' norms; ``None`` uses :attr:`weight` itself."""
 
     @abstractmethod
     def __call__(self, seen: ActorPass) -> TermValue:
-        """Compute the loss; one that the batch says nothing about needs no gradient."""
+        """Compute the loss.
+
+        Where the batch lacks what the term is about, it may be a constant without gradient.
+        """
 
     def demonstration_error(self, seen: ActorPass) -> Tensor | None:
-        """The mean error ``[]`` of all demonstrations alike; ``None`` where it imitates none."""
+        """Return the mean error ``[]`` over all demonstrations, each with the same weight.
+
+        ``None`` if the term does not imitate demonstrations.
+        """
         return None
 
 
 def weighted(value: TermValue, weight: Any) -> Tensor:
-    """The loss ``[]`` times its weight, a number or ``[]``; ``None`` is 1."""
+    """Return the loss ``[]`` times ``weight``, a number or a tensor ``[]``; ``None`` is 1."""
     return value.loss if weight is None else weight * value.loss
 
 
 def total(values: Mapping[str, TermValue], weights: Mapping[str, Any]) -> Tensor:
-    """What is minimised ``[]``: the sum of the losses, each times its entry of ``weights``."""
+    """Return the sum ``[]`` of the losses, each times its entry of ``weights``, 1 without one."""
     first, *others = [weighted(value, weights.get(name)) for name, value in values.items()]
     return sum(others, start=first)
 

@@ -20,7 +20,11 @@ LASTING = ("linear", "cosine")
 
 @settings(frozen=True, kw_only=True, config=STRICT)
 class WeightSettings:
-    """Weight of the imitation term as a function of the number n of updates (III-C, III-D)."""
+    """Weight of the imitation term as a function of the number n of updates (III-C, III-D).
+
+    One class with the keys of all kinds, not one class for each: Hydra accepts the keys of the
+    defaults only, and saved runs hold every key, with null for those of other kinds.
+    """
 
     kind: Literal["constant", "exponential", "linear", "cosine", "piecewise"] = "constant"
     init: Rate | None = 0.0  # lambda, or lambda_0; None for piecewise

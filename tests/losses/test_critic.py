@@ -99,7 +99,7 @@ def test_steps_discount_the_future_by_their_number() -> None:
     two_steps = batch.clone().set("steps_to_next_obs", torch.full((12, 1), 2))
     torch.manual_seed(1)
     in_two_steps = target_of(loss, two_steps)
-    loss.gamma = 0.81
+    loss.configure("qvalue", gamma=0.81)
     torch.manual_seed(1)
     torch.testing.assert_close(in_two_steps, target_of(loss, batch))
 

@@ -148,7 +148,8 @@ def test_emphasis_and_q_filter_both_apply() -> None:
     batch = make_batch(6, demo_rows=6)
     loss = make_loss(q_filter=True, rl_on_demos=True)
     filtered = loss.actor_terms(batch).values["bc"].loss
-    loss.bc_emphasis = lambda rows: torch.full((len(rows),), 3.0)
+    emphasis = Emphasis(lambda rows: torch.full((len(rows),), 3.0))
+    loss.configure("bc", row_weights=[emphasis, QFilter()])
     torch.testing.assert_close(loss.actor_terms(batch).values["bc"].loss, 3.0 * filtered)
 
 

@@ -18,6 +18,7 @@ from losses import (
     CosineWeight,
     CriticPass,
     CriticTerm,
+    Emphasis,
     ExponentialWeight,
     GradientRatio,
     Imitation,
@@ -204,35 +205,37 @@ def test_settings_change_in_place_and_are_checked() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("name", "term", "setting", "value"),
     [
-        ("bc_weight", CosineWeight(1.0, 0.1, 5)),
-        ("gamma", 0.5),
-        ("tau", 0.5),
-        ("bc_emphasis", torch.nn.Flatten(0)),
-        ("q_filter", True),
-        ("rl_on_demos", True),
-        ("target_entropy", -9.0),
+        ("bc_weight", "bc", "weight", CosineWeight(1.0, 0.1, 5)),
+        ("action_margin", "bc", "margin", 0.5),
+        ("gamma", "qvalue", "gamma", 0.5),
+        ("tau", "qvalue", "tau", 0.5),
+        ("loss_function", "qvalue", "distance", "l1"),
+        ("entropy_in_target", "qvalue", "entropy", False),
+        ("target_entropy", "alpha", "target_entropy", -9.0),
     ],
 )
-def test_attributes_of_bcsac_may_be_assigned(name: str, value: object) -> None:
-    """A module, too, which torch would keep elsewhere."""
-    loss = make_loss()
-    setattr(loss, name, value)
-    assert getattr(loss, name) is value or getattr(loss, name) == value
-    again = make_loss()
-    assert getattr(again, name) != value
+def test_settings_of_bcsac_are_read_as_attributes_and_changed_by_configure(
+    name: str, term: str, setting: str, value: object
+) -> None:
+    loss, other = make_loss(), make_loss()
+    with pytest.raises(AttributeError, match=rf"by configure\('{term}', {setting}="):
+        setattr(loss, name, value)
+    loss.configure(term, **{setting: value})
+    assert getattr(loss, name) == value
+    assert getattr(other, name) != value
 
 
-def test_emphasis_and_filter_are_assigned_one_by_one() -> None:
-    loss = make_loss(actor_value="mean")
-    loss.q_filter = True
-    loss.bc_emphasis = torch.sigmoid
-    first, second = loss.composition["bc"].row_weights
-    assert (first.of, second) == (torch.sigmoid, QFilter("mean"))
-    loss.bc_emphasis = None
-    assert loss.q_filter
-    assert loss.bc_emphasis is None
+def test_emphasis_and_filter_are_row_weights_of_the_imitation_term() -> None:
+    loss = make_loss(actor_value="mean", bc_emphasis=torch.sigmoid, q_filter=True)
+    assert loss.composition["bc"].row_weights == (Emphasis(torch.sigmoid), QFilter("mean"))
+    assert (loss.bc_emphasis, loss.q_filter) == (torch.sigmoid, True)
+    loss.configure("bc", row_weights=[])
+    assert (loss.bc_emphasis, loss.q_filter) == (None, False)
+    for name in ("bc_emphasis", "q_filter"):
+        with pytest.raises(AttributeError, match="no setter"):
+            setattr(loss, name, True)
 
 
 def test_the_target_moves_by_the_tau_of_its_term() -> None:
