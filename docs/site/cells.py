@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from statistics import fmean
 from typing import Any
@@ -27,7 +27,7 @@ from pipeline.results.cells import (
     load_cells,
 )
 from pipeline.results.evaluation import Evaluation
-from pipeline.results.rows import ORDER, load_published
+from pipeline.results.rows import in_published_order, load_published, published_names
 from pipeline.results.run_tables import cell, over_episodes, with_interval
 from pipeline.results.runs import EvaluatedRun, RunGroup
 from pipeline.results.statistics import interquartile_means
@@ -84,13 +84,7 @@ def rows(task: str) -> list[str]:
     found = {row for name, _, row in published() if name == task}
     if task in OURS:
         found |= {row for name, _, row in listed() if name in OURS}
-    return in_order(found)
-
-
-def in_order(names: Iterable[str]) -> list[str]:
-    """Names of rows as the tables have them."""
-    known = {name: place for place, name in enumerate(ORDER)}
-    return sorted(names, key=lambda name: (known.get(name, len(known)), name))
+    return in_published_order(found, published_names())
 
 
 def result(task: str, reward: str, row: str) -> RunGroup | None:

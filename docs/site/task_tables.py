@@ -12,6 +12,7 @@ from docs.site.tables import code, table
 from envs.reference import Column
 from envs.registry import OURS
 from pipeline.results.cells import OWN
+from pipeline.results.rows import in_published_order, published_names
 from pipeline.results.run_tables import RETURN, cell, with_interval
 from pipeline.results.runs import RunGroup
 from pipeline.results.statistics import over_tasks
@@ -84,7 +85,9 @@ def complete(reward: str) -> dict[str, np.ndarray]:
     Where tasks have different numbers of seeds, the first ones count.
     """
     found = {}
-    for name in cells.in_order({row for _, r, row in cells.published() if r == reward}):
+    for name in in_published_order(
+        {row for _, r, row in cells.published() if r == reward}, published_names()
+    ):
         of_tasks = [cells.result(task, reward, name) for task in OURS]
         values = [
             [run.evaluation.figure(ONCE.key) for run in row.runs]

@@ -15,7 +15,7 @@ from typing import Any, Final
 from pipeline.files.run_files import RunDirectoryError
 from pipeline.results import columnar
 from pipeline.results.reading import parse_published
-from pipeline.results.rows import merge_rows
+from pipeline.results.rows import recipe_difference
 from pipeline.results.runs import EvaluatedRun, RunGroup
 
 FILE: Final = "cells.parquet"
@@ -130,15 +130,12 @@ def merge_cells(earlier: Sequence[Cell], later: Sequence[Cell]) -> list[Cell]:
 
 
 def _require_one_recipe(place: Place, cells: Sequence[Cell]) -> None:
-    first, *others = (RunGroup(cell.row, (cell.run,)) for cell in cells)
-    try:
-        merge_rows([first], others)
-    except RunDirectoryError as error:
-        told = str(error).partition(";")[0]
+    difference = recipe_difference(as_row(cells))
+    if difference is not None:
         raise RunDirectoryError(
-            f"{place[0]}, {place[1]}: {told}; publish all its seeds of one recipe together, or to "
-            "another folder (OUT=...)"
-        ) from error
+            f"{place[0]}, {place[1]}: {difference}; publish all its seeds of one recipe together, "
+            "or to another folder (OUT=...)"
+        )
 
 
 def without_places(value: Any) -> Any:

@@ -13,7 +13,7 @@ from pipeline.results.export import export_policy, exported_seed
 from pipeline.results.plots import AXES, plot_curves, plot_diagnostics
 from pipeline.results.reading import ROWS, SEED
 from pipeline.results.rows import (
-    ORDER,
+    in_published_order,
     load_published,
     load_rows,
     merge_rows,
@@ -52,7 +52,9 @@ def publish(runs: Path, out: Path, *, policies: bool = True) -> list[RunGroup]:
     """
     new = load_rows(runs)
     rows = merge_rows(load_published(out), new)
-    rows.sort(key=lambda row: (_place(row.name), row.name))
+    reference = reference_of([run.evaluation for row in rows for run in row.runs])
+    names = in_published_order((row.name for row in rows), reference.rows)
+    rows.sort(key=lambda row: names.index(row.name))
     changed = {row.name for row in new}
     for row in (row for row in rows if row.name in changed):
         folder = out / ROWS / row.name
@@ -67,7 +69,6 @@ def publish(runs: Path, out: Path, *, policies: bool = True) -> list[RunGroup]:
     for x in AXES:
         plot_curves(rows, x, out / f"curves_{x}.png")
     write_atomically(out / TABLE, as_json(table(rows), indent=1) + "\n")
-    reference = reference_of([run.evaluation for row in rows for run in row.runs])
     write_atomically(out / TABLES, render_rows(rows, reference) + "\n")
     write_atomically(out / SUMMARY, render_summary(rows, reference) + "\n")
     return rows
@@ -114,10 +115,6 @@ def table(rows: Sequence[RunGroup]) -> dict[str, Any]:
 def _figures(published: dict[str, Any]) -> dict[str, Any]:
     kept = {k: v for k, v in published.items() if k not in {"curve", "alarms", "made_from"}}
     return {"seed": published["made_from"]["seed"], **kept}
-
-
-def _place(name: str) -> int:
-    return ORDER.index(name) if name in ORDER else len(ORDER)
 
 
 def _compact(content: dict[str, Any]) -> str:

@@ -3,21 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 
+from envs import find_task
+from envs.registry import OURS
 from pipeline.files.run_files import EVALUATION, RunDirectoryError
 from pipeline.results.evaluation_files import load_evaluation
 from pipeline.results.grouping import RECIPE
 from pipeline.results.reading import ROWS, SEED, load_run, parse_published
 from pipeline.results.runs import EvaluatedRun, RunGroup
 
-ORDER = (
-    "sac", "bc", "bc_sac_0.1", "bc_sac_1", "bc_sac_10", "dbc_sac", "sid_bc", "sid_dbc",
-    "ila_bc", "ila_dbc", "da_sac", "best",
-)  # fmt: skip
-"""Of the paper's tables, then our own."""
 BEFORE_IT_WAS_NAMED = {"noise_scale": 1.0}
 """What held for evaluations that are older than a key of ``RECIPE``."""
+
+
+@cache
+def published_names() -> tuple[str, ...]:
+    """Names of the rows that are published of a task of this project, in their order.
+
+    In a table over tasks a row has one name at every task, published there or not.
+    """
+    references = (find_task(name).reference for name in OURS)
+    rows = (row for found in references if found is not None for row in found.rows)
+    return tuple(dict.fromkeys(rows))
+
+
+def in_published_order(names: Iterable[str], published: Iterable[str]) -> list[str]:
+    """Names of rows in the order in which they were published, our own behind them by name."""
+    places = {name: place for place, name in enumerate(published)}
+    return sorted(names, key=lambda name: (places.get(name, len(places)), name))
 
 
 def load_rows(folder: Path) -> list[RunGroup]:
@@ -68,17 +83,23 @@ def merge_rows(earlier: Sequence[RunGroup], later: Sequence[RunGroup]) -> list[R
     added = {row.name for row in later}
     for row in merged:
         if row.name in added:
-            _require_one_recipe(row)
+            difference = recipe_difference(row)
+            if difference is not None:
+                raise RunDirectoryError(
+                    f"{difference}; publish to another folder (OUT=...), or remove "
+                    f"{ROWS}/{row.name} from this one"
+                )
     return merged
 
 
-def _require_one_recipe(row: RunGroup) -> None:
+def recipe_difference(row: RunGroup) -> str | None:
+    """In what two seeds of a row are of different recipes; None if they are of one."""
     first, *others = ({**BEFORE_IT_WAS_NAMED, **run.published()["made_from"]} for run in row.runs)
     for other in others:
         for key in RECIPE:
             if other.get(key) != first.get(key):
-                raise RunDirectoryError(
+                return (
                     f"row {row.name}: seed {first['seed']} has {key} {first.get(key)!r}, "
-                    f"seed {other['seed']} has {other.get(key)!r}; publish to another folder "
-                    f"(OUT=...), or remove {ROWS}/{row.name} from this one"
+                    f"seed {other['seed']} has {other.get(key)!r}"
                 )
+    return None

@@ -20,7 +20,7 @@ from pipeline.results.cells import OWN, Cell
 from pipeline.results.demonstrators import Demonstrators, demonstrators
 from pipeline.results.evaluation import Evaluation, Versions
 from pipeline.results.reading import load_run
-from pipeline.results.rows import ORDER
+from pipeline.results.rows import published_names
 from pipeline.results.run_tables import row_name
 from pipeline.results.runs import EvaluatedRun
 from pipeline.run_dir import saved_recipe
@@ -72,7 +72,7 @@ def read_cell(run_dir: Path, listed: Mapping[str, Demonstrators], *, unclean: bo
     return Cell(
         task=_short(recipe.task.name),
         reward=reward_of(recipe),
-        row=row_name(recipe.variant, recipe.loss.bc_weight.init, ORDER),
+        row=row_name(recipe.variant, recipe.loss.bc_weight.init, published_names()),
         conditions={
             "preset": recipe.preset,
             "frames": made_from.frames,
