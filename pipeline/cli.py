@@ -29,8 +29,8 @@ from pipeline.files.run_files import EVALUATION, as_json, write_atomically
 from pipeline.film.choice import Choice
 from pipeline.machine.extras import require_extras
 from pipeline.non_finite import EXIT_CODE, NonFiniteError
-from pipeline.report.sources import read_runs
 from pipeline.results.evaluation_files import load_evaluation
+from pipeline.results.reading import read_runs
 from pipeline.results.robustness import FIGURE, ROBUSTNESS
 from pipeline.results.run_tables import reference_of, render
 from pipeline.run_dir import recipe_of
@@ -153,7 +153,7 @@ def results(
     if len(runs) == 1 and has_tables(runs[0]):
         out.mkdir(parents=True, exist_ok=True)
         for row in publish(runs[0], out, policies=policies):
-            typer.echo(f"{row.name}: {len(row.seeds)} seeds")
+            typer.echo(f"{row.name}: {len(row.runs)} seeds")
         typer.echo(f"written to {out}")
         return
     cells = read_cells(runs, out, unclean=unclean)
@@ -174,7 +174,7 @@ def plot(
 
     beside = run if run.is_dir() else run.parent
     path = out if out is not None else beside / "diagnostics.png"
-    plot_diagnostics(run.name, [found.curve for found in read_runs([run])], path)
+    plot_diagnostics(run.name, read_runs([run]), path)
     typer.echo(f"written to {path}")
 
 

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from pipeline.results import columnar
-from pipeline.results.rows import ResultRow, parse_published
+from pipeline.results.reading import parse_published
+from pipeline.results.runs import RunGroup
 
 FILE: Final = Path(__file__).parent / "runs.parquet"
 KEYS: Final = ("row", "seed")
@@ -31,10 +32,10 @@ def load(path: Path = FILE) -> dict[str, dict[int, dict[str, Any]]]:
     return rows
 
 
-def load_rows(path: Path = FILE) -> dict[str, ResultRow]:
+def load_rows(path: Path = FILE) -> dict[str, RunGroup]:
     """The same as rows of results, by name."""
     return {
-        name: ResultRow(
+        name: RunGroup(
             name,
             tuple(parse_published(path, seeds[seed]) for seed in sorted(seeds)),
         )

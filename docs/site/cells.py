@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from statistics import fmean
 from typing import Any
@@ -27,8 +27,9 @@ from pipeline.results.cells import (
     load_cells,
 )
 from pipeline.results.evaluation import Evaluation
-from pipeline.results.rows import ORDER, ResultRow, Seed, load_published
+from pipeline.results.rows import in_published_order, load_published, published_names
 from pipeline.results.run_tables import cell, over_episodes, with_interval
+from pipeline.results.runs import EvaluatedRun, RunGroup
 from pipeline.results.statistics import interquartile_means
 
 RESULTS = DOCS / "results"
@@ -49,17 +50,17 @@ def listed() -> dict[Place, list[Cell]]:
 @cache
 def published() -> dict[Place, list[Cell]]:
     """Every published cell; where a row of the door's tables is listed too, that one counts."""
-    of_tables = [_cell(row, seed) for row in load_published(RESULTS) for seed in row.seeds]
+    of_tables = [_cell(row, run) for row in load_published(RESULTS) for run in row.runs]
     return by_place(of_tables) | listed()
 
 
 @cache
-def reference() -> dict[tuple[str, str], ResultRow]:
+def reference() -> dict[tuple[str, str], RunGroup]:
     """DAPG's own policies in our tasks, by task and reward (``python -m docs.lab.reference``)."""
     path = RESULTS / FOLDER / REFERENCE
     measured = json.loads(path.read_text())["tasks"] if path.is_file() else {}
     return {
-        (task, reward): ResultRow(DAPG, (Seed(_of_dapg(figures), (), ()),))
+        (task, reward): RunGroup(DAPG, (EvaluatedRun(path, _of_dapg(figures)),))
         for task, of_task in measured.items()
         for reward, figures in of_task.items()
     }
@@ -83,16 +84,10 @@ def rows(task: str) -> list[str]:
     found = {row for name, _, row in published() if name == task}
     if task in OURS:
         found |= {row for name, _, row in listed() if name in OURS}
-    return in_order(found)
+    return in_published_order(found, published_names())
 
 
-def in_order(names: Iterable[str]) -> list[str]:
-    """Names of rows as the tables have them."""
-    known = {name: place for place, name in enumerate(ORDER)}
-    return sorted(names, key=lambda name: (known.get(name, len(known)), name))
-
-
-def result(task: str, reward: str, row: str) -> ResultRow | None:
+def result(task: str, reward: str, row: str) -> RunGroup | None:
     """The seeds of a cell; None where it is missing."""
     found = published().get((task, reward, row))
     return None if found is None else as_row(found)
@@ -105,7 +100,7 @@ def condition(task: str, reward: str, row: str, name: str) -> float | None:
     return fmean(known) if known and len(known) == len(told) else None
 
 
-def figures(row: ResultRow | None, columns: Sequence[Column]) -> list[str]:
+def figures(row: RunGroup | None, columns: Sequence[Column]) -> list[str]:
     """Numbers of a cell with their 95 % intervals, as tables show them; dashes where it is missing.
 
     One seed: over its episodes (Wilson's of a share). Two: their mean alone. More: interquartile
@@ -118,7 +113,7 @@ def _of_dapg(figures: Mapping[str, Any]) -> Evaluation:
     return Evaluation.of({**figures, "made_from": {"run": DAPG, "variant": DAPG, "seed": 0}})
 
 
-def middle(row: ResultRow | None, column: Column) -> str:
+def middle(row: RunGroup | None, column: Column) -> str:
     """As :func:`figures`, without the interval."""
     values = [] if row is None else row.figures(column.key)
     if not values:
@@ -126,14 +121,14 @@ def middle(row: ResultRow | None, column: Column) -> str:
     return cell(column, fmean(values) if len(values) < SEVERAL else trim_mean(values, QUARTER))
 
 
-def _figure(row: ResultRow | None, column: Column) -> str:
+def _figure(row: RunGroup | None, column: Column) -> str:
     values = [] if row is None else row.figures(column.key)
     if row is None or not values:
         return "-"
     if len(values) >= SEVERAL:
         mean, low, high = _estimate(tuple(values))
         return with_interval(column, mean, (low, high))
-    interval = over_episodes(row.seeds[0].evaluation, column) if len(values) == 1 else None
+    interval = over_episodes(row.runs[0].evaluation, column) if len(values) == 1 else None
     return with_interval(column, fmean(values), interval)
 
 
@@ -144,11 +139,11 @@ def _estimate(values: tuple[float, ...]) -> tuple[float, float, float]:
     return float(found.iqm[0]), float(found.low[0]), float(found.high[0])
 
 
-def _cell(row: ResultRow, seed: Seed) -> Cell:
-    """A published row's seed, which knows no threads and may be older than the count of steps."""
-    made_from = seed.evaluation.made_from
+def _cell(row: RunGroup, run: EvaluatedRun) -> Cell:
+    """A published run of a row, which knows no threads and may be older than the count of steps."""
+    made_from = run.evaluation.made_from
     task = str(made_from.task_name)
-    walls = [float(point[WALL_S]) for point in seed.curve if point.get(WALL_S) is not None]
+    walls = [float(point[WALL_S]) for point in run.curve if point.get(WALL_S) is not None]
     told = {
         "preset": made_from.preset,
         "frames": made_from.frames,
@@ -158,9 +153,9 @@ def _cell(row: ResultRow, seed: Seed) -> Cell:
         "git": made_from.versions.git if made_from.versions else None,
     }
     reward = (find_task(task).rewards or (OWN,))[0]
-    return Cell(task, reward, row.name, dict.fromkeys(CONDITIONS) | told, seed)
+    return Cell(task, reward, row.name, dict.fromkeys(CONDITIONS) | told, run)
 
 
-def variant(row: ResultRow) -> str:
+def variant(row: RunGroup) -> str:
     """The variant of which a row of results is."""
-    return row.seeds[0].evaluation.made_from.variant
+    return row.runs[0].evaluation.made_from.variant

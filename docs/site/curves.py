@@ -16,11 +16,10 @@ from docs.site import cells
 from docs.site.page import Page
 from docs.site.places import ROOT
 from docs.site.task_tables import ONCE, complete
-from pipeline.files.curves import FRAMES
 from pipeline.results.cells import OWN, Place
-from pipeline.results.curves import on_grid
-from pipeline.results.rows import ResultRow, Seed
+from pipeline.results.curves import column, on_grid
 from pipeline.results.run_tables import RETURN
+from pipeline.results.runs import RunGroup
 
 FIGURES: Final = ROOT / "build" / "figures"
 SCORES: Final = {ONCE.key: "success once", RETURN: "return"}
@@ -59,7 +58,7 @@ def profiles(page: Page) -> str:
 
 
 def _panels(places: Sequence[Place], page: Page, name: str) -> str:
-    rows: dict[tuple[str, str], list[ResultRow]] = {}
+    rows: dict[tuple[str, str], list[RunGroup]] = {}
     for task, reward, row in places:
         found = cells.result(task, reward, row)
         if found is not None and _score(found) is not None:
@@ -93,25 +92,25 @@ def _figure(panels: Mapping[str, Drawn], page: Page, name: str, says: str) -> st
     return f"![{says}]({os.path.relpath(path, page.path.parent)})"
 
 
-def _curves(rows: Sequence[ResultRow]) -> Drawn:
+def _curves(rows: Sequence[RunGroup]) -> Drawn:
     def draw(axis: Axes) -> None:
         keys = {_score(row) for row in rows} - {None}
         key = next(key for key in SCORES if key in keys)
         for number, row in enumerate(rows):
             if _score(row) == key:
                 _curve(axis, row, key, f"C{number}")
-        offline = all(seed.evaluation.made_from.frames == 0 for r in rows for seed in r.seeds)
+        offline = all(run.evaluation.made_from.frames == 0 for r in rows for run in r.runs)
         axis.set(xlabel="updates" if offline else "environment frames", ylabel=SCORES[key])
         axis.xaxis.set_major_formatter(lambda frames, _: f"{frames / 1000:g}k")
 
     return draw
 
 
-def _curve(axis: Axes, row: ResultRow, key: str, colour: str) -> None:
+def _curve(axis: Axes, row: RunGroup, key: str, colour: str) -> None:
     """A thin line for each seed, and their interquartile mean."""
-    runs = [_points(seed, key) for seed in row.seeds]
+    runs = [column(run, key) for run in row.runs]
     grid = np.unique(runs[0][0][runs[0][0] <= min(frames[-1] for frames, _ in runs)])
-    values = np.stack([on_grid(frames.tolist(), scores.tolist(), grid) for frames, scores in runs])
+    values = np.stack([on_grid(frames, scores, grid) for frames, scores in runs])
     if len(runs) > 1:
         axis.plot(grid, values.T, color=colour, alpha=0.25, linewidth=0.8)
     label = f"{row.name}, {len(runs)} seed{'s' if len(runs) > 1 else ''}"
@@ -129,15 +128,7 @@ def _profile(scores: Mapping[str, np.ndarray]) -> Drawn:
     return draw
 
 
-def _score(row: ResultRow) -> str | None:
+def _score(row: RunGroup) -> str | None:
     """What can be drawn of every seed of a row; None if nothing can."""
-    told = (key for key in SCORES if all(len(_points(seed, key)[0]) > 1 for seed in row.seeds))
+    told = (key for key in SCORES if all(len(column(run, key)[0]) > 1 for run in row.runs))
     return next(told, None)
-
-
-def _points(seed: Seed, key: str) -> tuple[np.ndarray, np.ndarray]:
-    known: list[tuple[Any, Any]] = [
-        (point[FRAMES], point[key]) for point in seed.curve if point.get(key) is not None
-    ]
-    frames, values = zip(*known, strict=True) if known else ((), ())
-    return np.asarray(frames, dtype=np.float64), np.asarray(values, dtype=np.float64)

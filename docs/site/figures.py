@@ -20,7 +20,8 @@ from matplotlib.figure import Figure
 
 from docs.site.places import DOCS
 from pipeline.results.curves import on_grid
-from pipeline.results.rows import ResultRow, load_published
+from pipeline.results.rows import load_published
+from pipeline.results.runs import RunGroup
 from pipeline.results.statistics import interquartile_means
 
 PICTURE: Final = DOCS / "assets" / "curves.png"
@@ -37,7 +38,7 @@ RESULTS: Final = DOCS / "results"
 def digest(results: Path = RESULTS) -> str:
     """SHA-256 (hex) of the published rows that the picture shows."""
     rows = {row.name: row for row in load_published(results)}
-    shown = [[seed.published() for seed in rows[name].seeds] for name in (*SHOWN, "bc")]
+    shown = [[run.published() for run in rows[name].runs] for name in (*SHOWN, "bc")]
     return hashlib.sha256(json.dumps(shown, sort_keys=True).encode()).hexdigest()
 
 
@@ -58,20 +59,18 @@ def draw(path: Path = PICTURE, results: Path = RESULTS) -> None:
     figure.savefig(path, dpi=DPI, metadata={SOURCE: digest(results)})
 
 
-def _curve(axis: Axes, row: ResultRow, key: str, colour: str) -> None:
-    frames = [_column(row, seed, "frames") for seed in range(len(row.seeds))]
+def _curve(axis: Axes, row: RunGroup, key: str, colour: str) -> None:
+    frames = [_column(row, seed, "frames") for seed in range(len(row.runs))]
     end = min(column[-1] for column in frames)
     grid = np.unique([frame for frame in frames[0] if frame <= end])
-    values = [
-        on_grid(frames[seed], _column(row, seed, key), grid) for seed in range(len(row.seeds))
-    ]
+    values = [on_grid(frames[seed], _column(row, seed, key), grid) for seed in range(len(row.runs))]
     estimate = interquartile_means({row.name: values})[row.name]
-    axis.plot(grid, estimate.iqm, color=colour, label=f"{row.name}, {len(row.seeds)} seeds")
+    axis.plot(grid, estimate.iqm, color=colour, label=f"{row.name}, {len(row.runs)} seeds")
     axis.fill_between(grid, estimate.low, estimate.high, color=colour, alpha=0.2, linewidth=0)
 
 
-def _column(row: ResultRow, seed: int, key: str) -> Sequence[float]:
-    points = row.seeds[seed].curve
+def _column(row: RunGroup, seed: int, key: str) -> Sequence[float]:
+    points = row.runs[seed].curve
     # Runs of before the metric had the name that it has on every task.
     former = {"success_once": "share_gt_1_35"}.get(key, key)
     return [float(point.get(key, point.get(former))) for point in points]

@@ -10,7 +10,7 @@ from docs.lab.data import load_rows
 from docs.site.page import Page
 from docs.site.places import DOCS
 from docs.site.tables import code, table
-from pipeline.results.rows import ResultRow, Seed
+from pipeline.results.runs import EvaluatedRun, RunGroup
 
 NOTES = DOCS / "lab" / "notes"
 SUCCESS = "share_gt_1_35"
@@ -21,7 +21,7 @@ until more seeds have run, or knowledge that changes nothing by itself."""
 
 
 @cache
-def rows() -> dict[str, ResultRow]:
+def rows() -> dict[str, RunGroup]:
     """The lab's rows by name."""
     return load_rows()
 
@@ -58,25 +58,25 @@ def data(names: Sequence[str]) -> str:
     return f"```\npython -m docs.lab.data export runs/lab {listed}\nmake report RUNS=runs/lab\n```"
 
 
-def lowest(seed: Seed) -> float | None:
+def lowest(run: EvaluatedRun) -> float | None:
     """Least success of a run's evaluations after the first of 90 %; None without one."""
-    shares = [float(point[SUCCESS]) for point in seed.curve if point.get(SUCCESS) is not None]
+    shares = [float(point[SUCCESS]) for point in run.curve if point.get(SUCCESS) is not None]
     reached = next((k for k, share in enumerate(shares) if share >= REACHED), None)
     return None if reached is None else min(shares[reached:])
 
 
 def _runs(note: Page) -> int:
-    return sum(len(rows()[name].seeds) for name in note.about.get("rows", []))
+    return sum(len(rows()[name].runs) for name in note.about.get("rows", []))
 
 
-def _line(row: ResultRow) -> Sequence[object]:
+def _line(row: RunGroup) -> Sequence[object]:
     success = row.figures(SUCCESS)
-    lows = [low for seed in row.seeds if (low := lowest(seed)) is not None]
-    made_from = (seed.evaluation.made_from for seed in row.seeds)
+    lows = [low for run in row.runs if (low := lowest(run)) is not None]
+    made_from = (run.evaluation.made_from for run in row.runs)
     precisions = dict.fromkeys(told.precision or "" for told in made_from)
     return (
         code(row.name),
-        len(row.seeds),
+        len(row.runs),
         f"{100 * fmean(success):.1f} %",
         f"{100 * min(success):.1f} %",
         f"{fmean(row.figures('return_mean')):,.0f}",

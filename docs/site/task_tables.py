@@ -12,8 +12,9 @@ from docs.site.tables import code, table
 from envs.reference import Column
 from envs.registry import OURS
 from pipeline.results.cells import OWN
-from pipeline.results.rows import ResultRow
+from pipeline.results.rows import in_published_order, published_names
 from pipeline.results.run_tables import RETURN, cell, with_interval
+from pipeline.results.runs import RunGroup
 from pipeline.results.statistics import over_tasks
 
 ONCE: Final = Column("success_once", "success once", percent=True)
@@ -54,7 +55,7 @@ def rows_of(names: Sequence[str]) -> str:
         head,
         (
             (
-                code(task), reward, code(name), len(row.seeds),
+                code(task), reward, code(name), len(row.runs),
                 *cells.figures(row, OUTCOME), cells.middle(row, STEPS[0]),
             )
             for (task, reward, name), row in found
@@ -84,10 +85,12 @@ def complete(reward: str) -> dict[str, np.ndarray]:
     Where tasks have different numbers of seeds, the first ones count.
     """
     found = {}
-    for name in cells.in_order({row for _, r, row in cells.published() if r == reward}):
+    for name in in_published_order(
+        {row for _, r, row in cells.published() if r == reward}, published_names()
+    ):
         of_tasks = [cells.result(task, reward, name) for task in OURS]
         values = [
-            [seed.evaluation.figure(ONCE.key) for seed in row.seeds]
+            [run.evaluation.figure(ONCE.key) for run in row.runs]
             for row in of_tasks
             if row is not None
         ]
@@ -158,7 +161,7 @@ def _task(task: str) -> str:
     return f"{heading}\n\n{reached}\n\n{cost}"
 
 
-def _figures(rows: Sequence[ResultRow | None], columns: Sequence[Column]) -> list[str]:
+def _figures(rows: Sequence[RunGroup | None], columns: Sequence[Column]) -> list[str]:
     """Of a row by reward: those of one column beside each other."""
     by_reward = [cells.figures(row, columns) for row in rows]
     return [figure for of_column in zip(*by_reward, strict=True) for figure in of_column]
@@ -176,12 +179,12 @@ def _joined(told: Sequence[str] | dict[str, None]) -> str:
     return " / ".join(told) or "-"
 
 
-def _tells(row: ResultRow, key: str) -> bool:
-    return any(seed.evaluation.content.get(key) is not None for seed in row.seeds)
+def _tells(row: RunGroup, key: str) -> bool:
+    return any(run.evaluation.content.get(key) is not None for run in row.runs)
 
 
-def _seeds(row: ResultRow | None) -> str:
-    return "-" if row is None else str(len(row.seeds))
+def _seeds(row: RunGroup | None) -> str:
+    return "-" if row is None else str(len(row.runs))
 
 
 def _cost(task: str, reward: str, name: str, key: str) -> str:
@@ -202,9 +205,9 @@ def _demos(task: str, reward: str, name: str) -> str:
     return ", ".join(parts) or "-"
 
 
-def _way(row: ResultRow | None) -> str:
+def _way(row: RunGroup | None) -> str:
     """The commonest way of its episodes, over seeds."""
-    told = [] if row is None else [seed.evaluation.strategies for seed in row.seeds]
+    told = [] if row is None else [run.evaluation.strategies for run in row.runs]
     shares = [one.shares for one in told if one is not None]
     if not shares or len(shares) < len(told):
         return "-"

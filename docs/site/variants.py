@@ -14,7 +14,8 @@ from docs.site.places import DOCS, ROOT
 from docs.site.tables import table
 from envs import find_task
 from envs.reference import Column, Reference
-from pipeline.results.rows import ResultRow, load_published
+from pipeline.results.rows import load_published
+from pipeline.results.runs import RunGroup
 
 VARIANTS = ROOT / "configs" / "variant"
 RESULTS = DOCS / "results"
@@ -90,9 +91,9 @@ def results(names: Sequence[str]) -> str:
     return table(head, (line for row in rows for line in _lines(row, columns, reference)))
 
 
-def made_by(row: ResultRow) -> str:
+def made_by(row: RunGroup) -> str:
     """The variant of which a row of results is."""
-    return row.seeds[0].evaluation.made_from.variant
+    return row.runs[0].evaluation.made_from.variant
 
 
 def _columns(reference: Reference | None) -> list[Column]:
@@ -104,11 +105,11 @@ def _columns(reference: Reference | None) -> list[Column]:
 
 
 def _lines(
-    row: ResultRow, columns: Sequence[Column], reference: Reference | None
+    row: RunGroup, columns: Sequence[Column], reference: Reference | None
 ) -> Iterable[list[str]]:
     yield [
         f"`{row.name}`",
-        str(len(row.seeds)),
+        str(len(row.runs)),
         *(_figure(fmean(row.figures(column.key)), column) for column in columns),
     ]
     published = reference.rows.get(row.name, {}) if reference else {}

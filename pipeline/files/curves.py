@@ -38,14 +38,14 @@ def count_no_rows(path: Path) -> int:
 
 def in_order(rows: Iterable[Mapping[str, Any]]) -> list[Row]:
     """Rows by their frames, smallest first; of several at the same frame the last one counts."""
-    by_frames = {float(row[FRAMES]): dict(row) for row in rows if _is_number(row.get(FRAMES))}
+    by_frames = {float(row[FRAMES]): dict(row) for row in rows if is_number(row.get(FRAMES))}
     return [by_frames[frames] for frames in sorted(by_frames)]
 
 
 def last_wall_s(run_dir: Path) -> float:
     """Wall time of the learning curve's last row, in seconds; 0 where there is none."""
     walls = [row.get(WALL_S) for row in read_lines(run_dir / LEARNING_CURVE)]
-    return max((float(wall) for wall in walls if _is_number(wall)), default=0.0)
+    return max((float(wall) for wall in walls if is_number(wall)), default=0.0)
 
 
 def cut_back(run_dir: Path, frames: int) -> None:
@@ -79,7 +79,7 @@ def _lines(path: Path) -> Iterable[tuple[str, Row | None]]:
             row = json.loads(line, parse_int=_integer)
         except (ValueError, OverflowError, RecursionError):
             row = None
-        yield line, row if isinstance(row, dict) and _is_number(row.get(FRAMES)) else None
+        yield line, row if isinstance(row, dict) and is_number(row.get(FRAMES)) else None
 
 
 def _integer(digits: str) -> int:
@@ -89,7 +89,8 @@ def _integer(digits: str) -> int:
     return number
 
 
-def _is_number(value: Any) -> TypeGuard[float]:
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether a value of a row is a finite number."""
     return isinstance(value, (int, float)) and math.isfinite(value)
 
 

@@ -12,8 +12,9 @@ from pipeline.files.run_files import write_atomically
 from pipeline.report import episodes, learning, manner, summary
 from pipeline.report.films import films
 from pipeline.report.page import Report
-from pipeline.report.rows import ReportRow, group
-from pipeline.report.sources import read_runs
+from pipeline.results.grouping import group
+from pipeline.results.reading import read_runs
+from pipeline.results.runs import RunGroup
 
 PAGE = "index.html"
 MARKDOWN = "report.md"
@@ -38,7 +39,7 @@ def write_report(paths: Sequence[Path], out: Path, only: Sequence[str] = ()) -> 
     return report
 
 
-def build_report(rows: Sequence[ReportRow]) -> Report:
+def build_report(rows: Sequence[RunGroup]) -> Report:
     """The report of these rows.
 
     Raises:
@@ -74,7 +75,7 @@ def build_report(rows: Sequence[ReportRow]) -> Report:
         summary.provenance(rows),
     )
     runs = sum(len(row.runs) for row in rows)
-    evaluated = sum(len(row.evaluated) for row in rows)
+    evaluated = sum(len(row.evaluations) for row in rows)
     return Report(
         title=f"{Path(name).name}: {_counted(len(rows), 'row')}",
         summary=f"Task {Path(name).name}; {_counted(runs, 'run')}, {evaluated} of them evaluated.",

@@ -12,8 +12,8 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.colors import sample_colorscale
 
-from pipeline.report.numbers import Band
 from pipeline.report.page import Chart
+from pipeline.results.curves import Band
 
 ROWS_A_PANEL = 4
 COLOURS = ("#3b8ed0", "#e08a00", "#12a37a", "#cc6aa4")

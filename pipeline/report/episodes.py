@@ -22,10 +22,10 @@ from pipeline.report.charts import (
     panels,
     start_map,
 )
-from pipeline.report.numbers import Band
 from pipeline.report.page import Section, Table, told_once
-from pipeline.report.rows import ReportRow
+from pipeline.results.curves import Band
 from pipeline.results.evaluation_files import NO_STAGE, STAGE, START
+from pipeline.results.runs import RunGroup
 
 SUCCESS = "success_once"
 MOST_AXES = 6
@@ -35,7 +35,7 @@ NO_PLACES = "its task says no places where episodes begin, or no success"
 TO_GET_THEM = "no table of its episodes; make it with: make eval RUN=..."
 
 
-def stages(rows: Sequence[ReportRow]) -> Section:
+def stages(rows: Sequence[RunGroup]) -> Section:
     """How far episodes get: the last landmark that each ever reached."""
     shares = {row.name: found for row in rows if (found := _furthest(row))}
     labels = list({label: None for found in shares.values() for label in found})
@@ -65,10 +65,9 @@ def stages(rows: Sequence[ReportRow]) -> Section:
     )
 
 
-def _furthest(row: ReportRow) -> dict[str, float]:
+def _furthest(row: RunGroup) -> dict[str, float]:
     """Shares by stage, in the order of the task; from the summaries where tables are missing."""
-    evaluations = [run.evaluation for run in row.runs if run.evaluation is not None]
-    known = [evaluation.stages or {} for evaluation in evaluations]
+    known = [evaluation.stages or {} for evaluation in row.evaluations]
     order = next((list(found) for found in known if found), [])
     if not order:
         return {}
@@ -88,7 +87,7 @@ def _furthest(row: ReportRow) -> dict[str, float]:
     return dict(zip((NO_STAGE, *order), stops.tolist(), strict=True))
 
 
-def times(rows: Sequence[ReportRow]) -> Section:
+def times(rows: Sequence[RunGroup]) -> Section:
     """Share of episodes that have succeeded by each control step."""
     found = []
     for place, row in enumerate(rows):
@@ -114,7 +113,7 @@ def times(rows: Sequence[ReportRow]) -> Section:
     )
 
 
-def progress(rows: Sequence[ReportRow], task: Task | None) -> Section | None:
+def progress(rows: Sequence[RunGroup], task: Task | None) -> Section | None:
     """Median progress over an episode, with the middle four fifths of the episodes."""
     found = []
     for place, row in enumerate(rows):
@@ -141,7 +140,7 @@ def progress(rows: Sequence[ReportRow], task: Task | None) -> Section | None:
     )
 
 
-def maps(rows: Sequence[ReportRow], task: Task | None) -> Section:
+def maps(rows: Sequence[RunGroup], task: Task | None) -> Section:
     """Success over where episodes begin."""
     mapped = {row.name: found for row in rows if (found := _starts(row)) is not None}
     lacking = {
@@ -188,7 +187,7 @@ def maps(rows: Sequence[ReportRow], task: Task | None) -> Section:
 Places = Mapping[str, NDArray[np.float64]]
 
 
-def _starts(row: ReportRow) -> tuple[Places, NDArray[np.bool_]] | None:
+def _starts(row: RunGroup) -> tuple[Places, NDArray[np.bool_]] | None:
     """Starts [E] by axis, and whether each run succeeds from each, [S, E]."""
     tables = [run.episodes for run in row.runs if SUCCESS in run.episodes]
     if not tables:

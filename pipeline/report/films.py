@@ -9,8 +9,7 @@ from types import MappingProxyType
 from typing import Final
 
 from pipeline.report.page import Clip, Section, told_once
-from pipeline.report.rows import ReportRow
-from pipeline.report.sources import ReportRun
+from pipeline.results.runs import EvaluatedRun, RunGroup
 
 MOST_BYTES: Final = 3_000_000
 """Of one film."""
@@ -19,7 +18,7 @@ TOTAL_BYTES: Final = 15_000_000
 KINDS: Final[Mapping[str, str]] = MappingProxyType({".mp4": "video/mp4", ".gif": "image/gif"})
 
 
-def films(rows: Sequence[ReportRow]) -> Section:
+def films(rows: Sequence[RunGroup]) -> Section:
     """What ``make video`` left in the run directories, as long as it is short."""
     clips: list[Clip] = []
     lacking: dict[str, str] = {}
@@ -51,7 +50,7 @@ def films(rows: Sequence[ReportRow]) -> Section:
     )
 
 
-def _films_of(run: ReportRun) -> list[Path]:
+def _films_of(run: EvaluatedRun) -> list[Path]:
     if not run.path.is_dir():
         return []
     # A link may lead to any file of the reader's.

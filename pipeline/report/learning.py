@@ -9,10 +9,11 @@ import numpy as np
 
 from envs.reference import Reference
 from pipeline.report.charts import Curve, bars, chart, curves_panel, in_order, panels
-from pipeline.report.numbers import Band, curve_of, last_of
 from pipeline.report.page import Chart, Section, Table, told_once
-from pipeline.report.rows import ReportRow
+from pipeline.results.curves import DIAGNOSTICS as PANELS
+from pipeline.results.curves import Band, curve_of, last_of
 from pipeline.results.run_tables import RETURN, reference_row
+from pipeline.results.runs import RunGroup
 from pipeline.watch.alarm import FADED, FALL, NATS, PREFERENCE
 
 FRAMES = "environment frames"
@@ -34,12 +35,12 @@ class Diagnostic:
 
     label: str
     healthy: str
-    value: Callable[[ReportRow], float | None]
+    value: Callable[[RunGroup], float | None]
     well: Callable[[float], bool]
 
 
 def _difference(more: str, less: str, per: str | None = None) -> Callable[..., float | None]:
-    def value(row: ReportRow) -> float | None:
+    def value(row: RunGroup) -> float | None:
         a, b = last_of(row, more), last_of(row, less)
         scale = 1.0 if per is None else abs(last_of(row, per) or 0.0)
         return None if a is None or b is None or not scale else (a - b) / scale
@@ -47,12 +48,12 @@ def _difference(more: str, less: str, per: str | None = None) -> Callable[..., f
     return value
 
 
-def _imitation_share(row: ReportRow) -> float | None:
+def _imitation_share(row: RunGroup) -> float | None:
     weight, bc, rl = (last_of(row, k) for k in ("bc_weight", "grad_norm_bc", "grad_norm_rl"))
     return None if weight is None or bc is None or not rl else weight * bc / rl
 
 
-def _alarms(row: ReportRow) -> float | None:
+def _alarms(row: RunGroup) -> float | None:
     return (
         float(sum(len(run.alarms) for run in row.runs)) if any(r.curve for r in row.runs) else None
     )
@@ -85,17 +86,9 @@ DIAGNOSTICS = (
         lambda v: v < FALL,
     ),
 )
-PANELS = (
-    ("gradient norms on the actor", ("grad_norm_rl", "grad_norm_bc")),
-    ("cosine of the two gradients", ("grad_cosine",)),
-    ("values in demonstrated states", ("q_demo_actions", "q_policy_actions")),
-    ("entropy of the policy, nats", ("entropy",)),
-    ("imitation error, nats", ("bc_nll_train", "bc_nll_held_out")),
-)
-"""Title, and columns of the learning curve that are drawn."""
 
 
-def curves(rows: Sequence[ReportRow], reference: Reference | None) -> Section:
+def curves(rows: Sequence[RunGroup], reference: Reference | None) -> Section:
     """Success and return over frames."""
     charts: list[Chart] = []
     for key, label, share in (
@@ -118,7 +111,7 @@ def curves(rows: Sequence[ReportRow], reference: Reference | None) -> Section:
 
 
 def _panels(
-    rows: Sequence[ReportRow],
+    rows: Sequence[RunGroup],
     key: str,
     label: str,
     *,
@@ -152,7 +145,7 @@ def _panels(
     ]
 
 
-def _offline(row: ReportRow) -> bool:
+def _offline(row: RunGroup) -> bool:
     """Whether it took no frames, so that its curve is over its updates."""
     return row.told("frames") == 0
 
@@ -164,7 +157,7 @@ def _level(band: Band, end: float) -> Band:
     )
 
 
-def published(row: ReportRow, key: str, reference: Reference | None) -> float | None:
+def published(row: RunGroup, key: str, reference: Reference | None) -> float | None:
     """The published number of a row for a figure of ours; None if there is none."""
     variant = row.told("variant")
     if reference is None or variant is None:
@@ -173,7 +166,7 @@ def published(row: ReportRow, key: str, reference: Reference | None) -> float | 
     return theirs.get(reference.success if key == SUCCESS else key)
 
 
-def diagnostics(rows: Sequence[ReportRow]) -> Section:
+def diagnostics(rows: Sequence[RunGroup]) -> Section:
     """What explains a success or a failure, with the ranges that the alarm goes by."""
     lines = []
     for diagnostic in DIAGNOSTICS:
@@ -185,9 +178,10 @@ def diagnostics(rows: Sequence[ReportRow]) -> Section:
         if any(cell != "-" for cell in cells):
             lines.append([diagnostic.label, diagnostic.healthy, *cells])
     charts = []
-    for title, keys in PANELS:
-        for key in keys:
-            charts += _panels(rows, key, title if len(keys) == 1 else f"{title}: {key}")
+    for panel in PANELS:
+        for key in panel.keys:
+            title = panel.title if len(panel.keys) == 1 else f"{panel.title}: {key}"
+            charts += _panels(rows, key, title)
     headers = ["at the last evaluation", "healthy", *(row.name for row in rows)]
     return Section(
         "diagnostics",
@@ -201,7 +195,7 @@ def diagnostics(rows: Sequence[ReportRow]) -> Section:
     )
 
 
-def wall_time(rows: Sequence[ReportRow]) -> Section:
+def wall_time(rows: Sequence[RunGroup]) -> Section:
     """Where the time went."""
     timed = {row.name: [run.seconds for run in row.runs if run.seconds] for row in rows}
     known = {name: runs for name, runs in timed.items() if runs}

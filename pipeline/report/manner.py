@@ -9,11 +9,11 @@ import numpy as np
 
 from pipeline.report.charts import bars, chart, heat_map, in_order
 from pipeline.report.page import Section, Table
-from pipeline.report.rows import ReportRow
 from pipeline.results.evaluation import Strategies
+from pipeline.results.runs import RunGroup
 
 
-def strategies(rows: Sequence[ReportRow]) -> Section | None:
+def strategies(rows: Sequence[RunGroup]) -> Section | None:
     """What the hand touched while the thing moved; None if no evaluation recorded contacts."""
     found = {row.name: told for row in rows if (told := _told(row))}
     if not found:
@@ -56,7 +56,7 @@ def strategies(rows: Sequence[ReportRow]) -> Section | None:
     )
 
 
-def robustness(rows: Sequence[ReportRow]) -> Section | None:
+def robustness(rows: Sequence[RunGroup]) -> Section | None:
     """What each run withstands; None if none was disturbed."""
     runs = [run for row in rows for run in row.runs if run.robustness is not None]
     if not runs:
@@ -82,9 +82,8 @@ def robustness(rows: Sequence[ReportRow]) -> Section | None:
     )
 
 
-def _told(row: ReportRow) -> list[Strategies]:
-    evaluations = (run.evaluation for run in row.runs if run.evaluation is not None)
-    return [told for one in evaluations if (told := one.strategies) is not None]
+def _told(row: RunGroup) -> list[Strategies]:
+    return [told for one in row.evaluations if (told := one.strategies) is not None]
 
 
 def _mean_shares(shares: Sequence[Mapping[str, float]]) -> dict[str, float]:

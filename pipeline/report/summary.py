@@ -14,11 +14,11 @@ from pipeline.report.learning import published
 from pipeline.report.numbers import HOW, estimate
 from pipeline.report.page import Section, Table
 from pipeline.report.plane import Spread, plane
-from pipeline.report.rows import ReportRow, different, recipe
-from pipeline.report.sources import ReportRun
 from pipeline.results import again
 from pipeline.results.evaluation import Movement, Versions
+from pipeline.results.grouping import different, recipe
 from pipeline.results.run_tables import RETURN, cell
+from pipeline.results.runs import EvaluatedRun, RunGroup
 
 HEADLINE = (
     Column("success_once", "success", percent=True),
@@ -30,7 +30,7 @@ HEADLINE = (
 HASH_DIGITS = 10
 
 
-def headline(rows: Sequence[ReportRow], reference: Reference | None) -> Section:
+def headline(rows: Sequence[RunGroup], reference: Reference | None) -> Section:
     """What came out: the figures of every task, then the task's published tables beside ours."""
     source = "published" if reference is None else reference.source
     tables = [_beside(rows, HEADLINE, reference)]
@@ -39,19 +39,19 @@ def headline(rows: Sequence[ReportRow], reference: Reference | None) -> Section:
             _beside(rows, columns, reference, title) for title, columns in reference.tables.items()
         ]
     text = HOW if reference is None else f"{HOW} Behind the stroke: {source}."
-    absent = [f"{row.name}: no run is evaluated" for row in rows if not row.evaluated]
+    absent = [f"{row.name}: no run is evaluated" for row in rows if not row.evaluations]
     return Section("results", "Results", text, tables=tables, absent=absent)
 
 
 def _beside(
-    rows: Sequence[ReportRow],
+    rows: Sequence[RunGroup],
     columns: Sequence[Column],
     reference: Reference | None,
     title: str = "",
 ) -> Table:
     lines = []
     for row in rows:
-        line = [row.name, str(len(row.evaluated)), _episodes(row)]
+        line = [row.name, str(len(row.evaluations)), _episodes(row)]
         for column in columns:
             theirs = published(row, column.key, reference)
             text = estimate(row, column) or "-"
@@ -60,7 +60,7 @@ def _beside(
     return Table(["row", "seeds", "episodes", *(c.header for c in columns)], lines, title)
 
 
-def _episodes(row: ReportRow) -> str:
+def _episodes(row: RunGroup) -> str:
     counts = sorted({int(count) for count in row.figures("episodes")})
     return " to ".join(str(count) for count in {counts[0]: 0, counts[-1]: 0}) if counts else "-"
 
@@ -77,13 +77,12 @@ ALIKE = (
 """Figure of ``likeness``, header, and what turns its unit into the header's."""
 
 
-def alike(rows: Sequence[ReportRow]) -> Section | None:
+def alike(rows: Sequence[RunGroup]) -> Section | None:
     """How alike the movements are to demonstrations; None if no evaluation compared them."""
     shown: dict[str, list[Movement]] = {}
     own: dict[str, list[Movement]] = {}
     for row in rows:
-        evaluations = (run.evaluation for run in row.runs if run.evaluation is not None)
-        for told in filter(None, (evaluation.likeness for evaluation in evaluations)):
+        for told in filter(None, (evaluation.likeness for evaluation in row.evaluations)):
             shown.setdefault(f"demonstrations: {told.to}", [told.of_demonstrations])
             own.setdefault(row.name, []).append(told)
     if not own:
@@ -135,7 +134,7 @@ def _alike(found: Sequence[Movement]) -> list[str]:
     return cells
 
 
-def differences(rows: Sequence[ReportRow]) -> Section:
+def differences(rows: Sequence[RunGroup]) -> Section:
     """Keys of the recipes in which the rows differ, and those in which seeds of one row do."""
     recipes = {row.name: [recipe(run) for run in row.runs] for row in rows}
     keys = different([values for of_row in recipes.values() for values in of_row])
@@ -143,7 +142,7 @@ def differences(rows: Sequence[ReportRow]) -> Section:
         [key, *(_values([run.get(key) for run in of_row]) for of_row in recipes.values())]
         for key in keys
     ]
-    whole = all(run.config for row in rows for run in row.runs)
+    whole = all(run.settings for row in rows for run in row.runs)
     return Section(
         "differences",
         "Differences of configuration",
@@ -161,7 +160,7 @@ def _values(values: Sequence[Any]) -> str:
     return " | ".join("-" if value == "None" else value for value in told)
 
 
-def provenance(rows: Sequence[ReportRow]) -> Section:
+def provenance(rows: Sequence[RunGroup]) -> Section:
     """Where every number is from."""
     lines = [_origin(row, run) for row in rows for run in row.runs]
     packages = {name: None for row in rows for run in row.runs for name in _packages(run)}
@@ -189,7 +188,7 @@ ORIGIN = (
 )  # fmt: skip
 
 
-def _origin(row: ReportRow, run: ReportRun) -> list[str]:
+def _origin(row: RunGroup, run: EvaluatedRun) -> list[str]:
     made_from = run.made_from
     versions = _versions(run)
     demos = run.told("demos")
@@ -211,12 +210,12 @@ def _origin(row: ReportRow, run: ReportRun) -> list[str]:
     ]
 
 
-def _command(run: ReportRun) -> str:
-    if run.evaluation is None:
+def _command(run: EvaluatedRun) -> str:
+    if run.evaluation_or_none is None:
         return again.evaluate(run.path)
     of_config = {
         key.removeprefix(again.TASK): value
-        for key, value in run.config.items()
+        for key, value in run.settings.items()
         if key.startswith(again.TASK)
     }
     return again.command(
@@ -234,13 +233,13 @@ def _revision(versions: Versions) -> str:
     return f"{versions.git[:HASH_DIGITS]}{'*' if versions.git_dirty else ''}"
 
 
-def _versions(run: ReportRun) -> Versions:
+def _versions(run: EvaluatedRun) -> Versions:
     """At the evaluation."""
     found = None if run.made_from is None else run.made_from.versions
     return Versions() if found is None else found
 
 
-def _packages(run: ReportRun) -> Mapping[str, str | None]:
+def _packages(run: EvaluatedRun) -> Mapping[str, str | None]:
     return _versions(run).packages or {}
 
 
@@ -252,7 +251,7 @@ def _once(lines: Sequence[Sequence[str]]) -> list[list[str]]:
     return [[", ".join(of), *told] for told, of in names.items()]
 
 
-def missing(rows: Sequence[ReportRow]) -> Section | None:
+def missing(rows: Sequence[RunGroup]) -> Section | None:
     """What could not be read; None if nothing is missing."""
     lines = [f"{run.name}: {line}" for row in rows for run in row.runs for line in run.missing]
     if not lines:

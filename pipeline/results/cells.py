@@ -14,7 +14,9 @@ from typing import Any, Final
 
 from pipeline.files.run_files import RunDirectoryError
 from pipeline.results import columnar
-from pipeline.results.rows import ResultRow, Seed, merge_rows, parse_published
+from pipeline.results.reading import parse_published
+from pipeline.results.rows import recipe_difference
+from pipeline.results.runs import EvaluatedRun, RunGroup
 
 FILE: Final = "cells.parquet"
 FOLDER: Final = "tasks"
@@ -50,7 +52,7 @@ class Cell:
     reward: str
     row: str
     conditions: Mapping[str, Any]
-    run: Seed
+    run: EvaluatedRun
 
     @property
     def keys(self) -> columnar.Keys:
@@ -98,10 +100,10 @@ def by_place(cells: Sequence[Cell]) -> dict[Place, list[Cell]]:
     return found
 
 
-def as_row(cells: Sequence[Cell]) -> ResultRow:
+def as_row(cells: Sequence[Cell]) -> RunGroup:
     """Cells of one place as a row of results, in the order of their seeds."""
     runs = sorted((cell.run for cell in cells), key=lambda run: run.seed)
-    return ResultRow(cells[0].row, tuple(runs))
+    return RunGroup(cells[0].row, tuple(runs))
 
 
 def merge_cells(earlier: Sequence[Cell], later: Sequence[Cell]) -> list[Cell]:
@@ -116,7 +118,7 @@ def merge_cells(earlier: Sequence[Cell], later: Sequence[Cell]) -> list[Cell]:
         if (other := added.setdefault(cell.keys, cell)) is not cell:
             task, reward, row, seed = cell.keys
             raise RunDirectoryError(
-                f"{other.run.run_dir} and {cell.run.run_dir} are both seed {seed} of row {row} of "
+                f"{other.run.path} and {cell.run.path} are both seed {seed} of row {row} of "
                 f'{task}, {reward}: name folders that hold one of them (RUNS="dir dir ...")'
             )
     merged = {**{cell.keys: cell for cell in earlier}, **added}
@@ -128,15 +130,12 @@ def merge_cells(earlier: Sequence[Cell], later: Sequence[Cell]) -> list[Cell]:
 
 
 def _require_one_recipe(place: Place, cells: Sequence[Cell]) -> None:
-    first, *others = (ResultRow(cell.row, (cell.run,)) for cell in cells)
-    try:
-        merge_rows([first], others)
-    except RunDirectoryError as error:
-        told = str(error).partition(";")[0]
+    difference = recipe_difference(as_row(cells))
+    if difference is not None:
         raise RunDirectoryError(
-            f"{place[0]}, {place[1]}: {told}; publish all its seeds of one recipe together, or to "
-            "another folder (OUT=...)"
-        ) from error
+            f"{place[0]}, {place[1]}: {difference}; publish all its seeds of one recipe together, "
+            "or to another folder (OUT=...)"
+        )
 
 
 def without_places(value: Any) -> Any:

@@ -30,7 +30,7 @@ def save(names: Sequence[str], runs: Mapping[Keys, Content], path: Path) -> None
 
     Args:
         names: Of the keys, which are the first columns.
-        runs: What is published of each run (``Seed.published``), by its keys.
+        runs: What is published of each run (``EvaluatedRun.published``), by its keys.
         path: Of the file.
     """
     lines = [dict(zip(names, keys, strict=True)) | _line(runs[keys]) for keys in sorted(runs)]

@@ -7,8 +7,8 @@ from pathlib import Path
 from pipeline.files.run_files import CONFIG, write_atomically
 from pipeline.policy import WEIGHTS, load_policy, save_weights
 from pipeline.recipe import Recipe
-from pipeline.results.evaluation import MadeFrom
-from pipeline.results.rows import Seed
+from pipeline.results.evaluation import Evaluation, MadeFrom
+from pipeline.results.runs import EvaluatedRun
 from pipeline.run_dir import load_recipe, save_recipe
 
 CARD = "README.md"
@@ -25,20 +25,19 @@ def exported_seed(folder: Path) -> int | None:
     return int(load_recipe(folder).seed) if (folder / WEIGHTS).is_file() else None
 
 
-def export_policy(seed: Seed, run_dir: Path, folder: Path, *, name: str) -> None:
+def export_policy(run: EvaluatedRun, folder: Path, *, name: str) -> None:
     """Writes weights, resolved configuration and card of the newest checkpoint of a run.
 
     Args:
-        seed: What the run reached.
-        run_dir: The run.
+        run: With its directory.
         folder: Where to; made if needed.
         name: Of the recipe, for the card.
 
     Raises:
         FileNotFoundError, ValueError: As ``load_policy``.
     """
-    recipe = load_recipe(run_dir)
-    policy, origin = load_policy(recipe, recipe.find_task(), run_dir)
+    recipe = load_recipe(run.path)
+    policy, origin = load_policy(recipe, recipe.find_task(), run.path)
     folder.mkdir(parents=True, exist_ok=True)
     save_weights(policy, folder / WEIGHTS, frames=origin.frames)
     # Of the paths only names stay: others have other folders, and other machines.
@@ -51,7 +50,7 @@ def export_policy(seed: Seed, run_dir: Path, folder: Path, *, name: str) -> None
         env={"num_threads": None},
     )
     save_recipe(folder, portable)
-    write_atomically(folder / CARD, _card(seed, recipe, name, origin.frames))
+    write_atomically(folder / CARD, _card(run.evaluation, recipe, name, origin.frames))
 
 
 def _action(made_from: MadeFrom) -> str:
@@ -61,8 +60,7 @@ def _action(made_from: MadeFrom) -> str:
     return f"sampled action, its noise times {scale:g}"
 
 
-def _card(seed: Seed, recipe: Recipe, name: str, frames: int) -> str:
-    evaluation = seed.evaluation
+def _card(evaluation: Evaluation, recipe: Recipe, name: str, frames: int) -> str:
     figures = "\n".join(
         f"| {label} | {figure:.4g} |"
         for key, label in SHOWN.items()

@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pipeline.files.run_files import RunDirectoryError
-from pipeline.results.curves import on_grid
+from pipeline.results.curves import DIAGNOSTICS, Panel, column, curve_of
 from pipeline.results.pictures import save_figure
-from pipeline.results.rows import ResultRow
-from pipeline.results.statistics import interquartile_means
+from pipeline.results.runs import EvaluatedRun, RunGroup
+from pipeline.results.statistics import Floats, interquartile_means
 
 POINTS = 60
 """Of a curve over wall time."""
@@ -24,18 +23,13 @@ SCORES: Mapping[str, str] = {
     "success_once": "share of episodes that succeed",
     "return_mean": "return",
 }
-PANELS: Sequence[tuple[str, Sequence[str], bool]] = (
-    ("share of episodes", ("success_once", "success_at_end", "train_success"), False),
-    ("gradient on the actor", ("grad_norm_rl", "grad_norm_bc"), True),
-    ("cosine of the two gradients", ("grad_cosine",), False),
-    ("values in demonstrated states", ("q_demo_actions", "q_policy_actions"), False),
-    ("entropy (nats)", ("entropy", "target_entropy"), False),
-    ("imitation error (nats)", ("bc_nll_train", "bc_nll_held_out"), False),
-)  # fmt: skip
-"""Title, columns of the learning curve, and whether the axis is logarithmic."""
+PANELS = (
+    Panel("share of episodes", ("success_once", "success_at_end", "train_success")),
+    *DIAGNOSTICS,
+)
 
 
-def plot_curves(rows: Sequence[ResultRow], x: str, path: Path) -> None:
+def plot_curves(rows: Sequence[RunGroup], x: str, path: Path) -> None:
     """Success and return of all rows against ``x``, IQM and 95 % interval over seeds.
 
     Args:
@@ -43,7 +37,7 @@ def plot_curves(rows: Sequence[ResultRow], x: str, path: Path) -> None:
         x: A key of ``AXES``.
         path: PNG to write.
     """
-    shown = [row for row in rows if all(len(_column(s.curve, x)) > 1 for s in row.seeds)]
+    shown = [row for row in rows if all(len(run.curve) > 1 for run in row.runs)]
     figure = Figure(figsize=(13, 5), layout="constrained")
     axes = figure.subplots(1, len(SCORES))
     colours = mpl.colormaps["tab20"].colors  # type: ignore[attr-defined]  # of a listed colormap
@@ -56,59 +50,50 @@ def plot_curves(rows: Sequence[ResultRow], x: str, path: Path) -> None:
     save_figure(figure, path)
 
 
-def plot_diagnostics(title: str, curves: Sequence[Sequence[Mapping[str, Any]]], path: Path) -> None:
+def plot_diagnostics(title: str, runs: Sequence[EvaluatedRun], path: Path) -> None:
     """Diagnostics of the runs of one recipe against frames, a line per run.
 
     Args:
         title: Of the figure.
-        curves: Rows of ``learning_curve.jsonl`` of each run.
+        runs: Of the recipe; those without a curve are left out.
         path: PNG to write.
 
     Raises:
         RunDirectoryError: If no run has a curve.
     """
-    if not any(curves):
+    drawn = [run for run in runs if run.curve]
+    if not drawn:
         raise RunDirectoryError(f"{title}: no learning curve; train with evaluation.interval > 0")
     figure = Figure(figsize=(13, 7), layout="constrained")
     figure.suptitle(title)
-    for axis, (label, keys, logarithmic) in zip(figure.subplots(2, 3).flat, PANELS, strict=True):
-        for number, key in enumerate(keys):
-            for run, curve in enumerate(curves):
-                y = _column(curve, key)
-                known = np.isfinite(y)
+    for axis, panel in zip(figure.subplots(2, 3).flat, PANELS, strict=True):
+        for number, key in enumerate(panel.keys):
+            for place, run in enumerate(drawn):
                 axis.plot(
-                    _column(curve, "frames")[known],
-                    y[known],
+                    *column(run, key),
                     color=f"C{number}",
                     alpha=0.8,
                     linewidth=1.2,
-                    label=key if run == 0 else None,
+                    label=key if place == 0 else None,
                 )
-        axis.set(title=label, xlabel=AXES["frames"])
-        if logarithmic:
+        axis.set(title=panel.title, xlabel=AXES["frames"])
+        if panel.logarithmic:
             axis.set_yscale("log")
         axis.grid(alpha=0.3)
         axis.legend(fontsize="small")
     save_figure(figure, path)
 
 
-def _curve(axis: Axes, row: ResultRow, x: str, key: str, colour: Any) -> None:
-    places = [_column(seed.curve, x) for seed in row.seeds]
-    end = min(place[-1] for place in places)
-    grid = np.unique(places[0][places[0] <= end]) if x == "frames" else np.linspace(0, end, POINTS)
-    values = []
-    for place, seed in zip(places, row.seeds, strict=True):
-        column = _column(seed.curve, key)
-        known = np.isfinite(place) & np.isfinite(column)
-        if not known.any():
-            return  # the task does not tell it
-        values.append(on_grid(place[known].tolist(), column[known].tolist(), grid))
-    estimate = interquartile_means({row.name: values})[row.name]
-    shown = grid if x == "frames" else grid / 60.0
-    axis.plot(shown, estimate.iqm, color=colour, label=f"{row.name} ({len(row.seeds)})")
-    axis.fill_between(shown, estimate.low, estimate.high, color=colour, alpha=0.2, linewidth=0)
+def _curve(axis: Axes, row: RunGroup, x: str, key: str, colour: Any) -> None:
+    if not all(len(column(run, key, x)[0]) for run in row.runs):
+        return  # the task does not tell it
+    band = curve_of(row, key, x, statistic=_interquartile, points=None if x == "frames" else POINTS)
+    assert band is not None
+    shown = band.x if x == "frames" else band.x / 60.0
+    axis.plot(shown, band.mean, color=colour, label=f"{row.name} ({len(row.runs)})")
+    axis.fill_between(shown, band.low, band.high, color=colour, alpha=0.2, linewidth=0)
 
 
-def _column(curve: Sequence[Mapping[str, Any]], key: str) -> np.ndarray:
-    values = [row.get(key) for row in curve]
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+def _interquartile(values: Floats) -> tuple[Floats, Floats, Floats]:
+    found = interquartile_means({"runs": values})["runs"]
+    return found.iqm, found.low, found.high

@@ -11,17 +11,16 @@ from pipeline.files.run_files import EVALUATION, as_json, write_atomically
 from pipeline.results.cells import OWN
 from pipeline.results.export import export_policy, exported_seed
 from pipeline.results.plots import AXES, plot_curves, plot_diagnostics
+from pipeline.results.reading import ROWS, SEED
 from pipeline.results.rows import (
-    ORDER,
-    ROWS,
-    SEED,
-    ResultRow,
+    in_published_order,
     load_published,
     load_rows,
     merge_rows,
 )
 from pipeline.results.run_cells import reward_of, task_of_ours
 from pipeline.results.run_tables import reference_of
+from pipeline.results.runs import RunGroup
 from pipeline.results.tables import render_rows, render_summary
 from pipeline.run_dir import saved_recipe
 
@@ -32,7 +31,7 @@ SUMMARY = "summary.md"
 POLICIES = "policies"
 
 
-def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
+def publish(runs: Path, out: Path, *, policies: bool = True) -> list[RunGroup]:
     """Writes tables, per-seed files, figures and one policy per row.
 
     Seeds that ``out`` holds already stay and count, so that five seeds of a row may come from
@@ -53,22 +52,23 @@ def publish(runs: Path, out: Path, *, policies: bool = True) -> list[ResultRow]:
     """
     new = load_rows(runs)
     rows = merge_rows(load_published(out), new)
-    rows.sort(key=lambda row: (_place(row.name), row.name))
+    reference = reference_of([run.evaluation for row in rows for run in row.runs])
+    names = in_published_order((row.name for row in rows), reference.rows)
+    rows.sort(key=lambda row: names.index(row.name))
     changed = {row.name for row in new}
     for row in (row for row in rows if row.name in changed):
         folder = out / ROWS / row.name
         folder.mkdir(parents=True, exist_ok=True)
-        for seed in row.seeds:
-            write_atomically(folder / f"seed{seed.seed}.json", _compact(seed.published()))
-        curves = [seed.curve for seed in row.seeds if seed.curve]
-        if curves:
-            plot_diagnostics(f"{row.name}: {len(curves)} seeds", curves, folder / "diagnostics.png")
+        for run in row.runs:
+            write_atomically(folder / f"seed{run.seed}.json", _compact(run.published()))
+        drawn = [run for run in row.runs if run.curve]
+        if drawn:
+            plot_diagnostics(f"{row.name}: {len(drawn)} seeds", drawn, folder / "diagnostics.png")
         if policies:
             _export(row, out / POLICIES / row.name)
     for x in AXES:
         plot_curves(rows, x, out / f"curves_{x}.png")
     write_atomically(out / TABLE, as_json(table(rows), indent=1) + "\n")
-    reference = reference_of([seed.evaluation for row in rows for seed in row.seeds])
     write_atomically(out / TABLES, render_rows(rows, reference) + "\n")
     write_atomically(out / SUMMARY, render_summary(rows, reference) + "\n")
     return rows
@@ -90,23 +90,23 @@ def has_tables(runs: Path) -> bool:
     return reward_of(recipes[0]) in (OWN, *task.rewards[:1])
 
 
-def _export(row: ResultRow, folder: Path) -> None:
+def _export(row: RunGroup, folder: Path) -> None:
     kept = exported_seed(folder)
-    for seed in row.seeds_by_distance_to_median:
-        if seed.run_dir is not None:
-            return export_policy(seed, seed.run_dir, folder, name=row.name)
-        if seed.seed == kept:
+    for run in row.by_distance_to_median:
+        if run.path.is_dir():
+            return export_policy(run, folder, name=row.name)
+        if run.seed == kept:
             return None
     return None
 
 
-def table(rows: Sequence[ResultRow]) -> dict[str, Any]:
+def table(rows: Sequence[RunGroup]) -> dict[str, Any]:
     """``table.json``: for each row its frames, its preset and the evaluation of every seed."""
     return {
         row.name: {
-            "frames": row.seeds[0].evaluation.made_from.frames,
-            "preset": row.seeds[0].evaluation.made_from.preset,
-            "seeds": [_figures(seed.published()) for seed in row.seeds],
+            "frames": row.runs[0].evaluation.made_from.frames,
+            "preset": row.runs[0].evaluation.made_from.preset,
+            "seeds": [_figures(run.published()) for run in row.runs],
         }
         for row in rows
     }
@@ -115,10 +115,6 @@ def table(rows: Sequence[ResultRow]) -> dict[str, Any]:
 def _figures(published: dict[str, Any]) -> dict[str, Any]:
     kept = {k: v for k, v in published.items() if k not in {"curve", "alarms", "made_from"}}
     return {"seed": published["made_from"]["seed"], **kept}
-
-
-def _place(name: str) -> int:
-    return ORDER.index(name) if name in ORDER else len(ORDER)
 
 
 def _compact(content: dict[str, Any]) -> str:

@@ -2,96 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
-from typing import Any
 
-from pipeline.files.curves import in_order, read_lines
-from pipeline.files.run_files import ALARMS, EVALUATION, LEARNING_CURVE, RunDirectoryError
-from pipeline.results.evaluation import Evaluation
+from envs import find_task
+from envs.registry import OURS
+from pipeline.files.run_files import EVALUATION, RunDirectoryError
 from pipeline.results.evaluation_files import load_evaluation
+from pipeline.results.grouping import RECIPE
+from pipeline.results.reading import ROWS, SEED, load_run, parse_published
+from pipeline.results.runs import EvaluatedRun, RunGroup
 
-SEED = "seed"
-ROWS = "rows"
-"""Folder of the published files, ``ROW/seedN.json``."""
-RECIPE = (
-    "variant",
-    "preset",
-    "bc_weight",
-    "frames",
-    "demos",
-    "demos_multiplied",
-    "evaluation_seed",
-    "exploration",
-    "noise_scale",
-)
-"""What the seeds of one row have in common."""
-ORDER = (
-    "sac", "bc", "bc_sac_0.1", "bc_sac_1", "bc_sac_10", "dbc_sac", "sid_bc", "sid_dbc",
-    "ila_bc", "ila_dbc", "da_sac", "best",
-)  # fmt: skip
-"""Of the paper's tables, then our own."""
 BEFORE_IT_WAS_NAMED = {"noise_scale": 1.0}
 """What held for evaluations that are older than a key of ``RECIPE``."""
-DIGITS = 6
-"""Significant digits of published curves."""
 
 
-@dataclass(frozen=True)
-class Seed:
-    """One evaluated run."""
+@cache
+def published_names() -> tuple[str, ...]:
+    """Names of the rows that are published of a task of this project, in their order.
 
-    evaluation: Evaluation
-    curve: tuple[Mapping[str, Any], ...]
-    """Rows of the learning curve; empty for a run without a curve."""
-    alarms: tuple[Mapping[str, Any], ...]
-    run_dir: Path | None = None
-    """None where only the published file is left of the run."""
-
-    @property
-    def seed(self) -> int:
-        """Of the run."""
-        return self.evaluation.made_from.seed
-
-    def published(self) -> dict[str, Any]:
-        """Everything that a reader of the results can check, without paths of this machine."""
-        made_from = {**self.evaluation.content["made_from"]}
-        for place in ("run", "demos"):
-            made_from[place] = Path(made_from[place]).name
-        made_from.pop("overrides", None)  # what they changed is said by the other entries
-        columns = {key: None for row in self.curve for key in row}
-        return {
-            **self.evaluation.content,
-            "made_from": made_from,
-            "alarms": list(self.alarms),
-            "curve": {key: [_short(row.get(key)) for row in self.curve] for key in columns},
-        }
+    In a table over tasks a row has one name at every task, published there or not.
+    """
+    references = (find_task(name).reference for name in OURS)
+    rows = (row for found in references if found is not None for row in found.rows)
+    return tuple(dict.fromkeys(rows))
 
 
-@dataclass(frozen=True)
-class ResultRow:
-    """A row of the tables: one recipe, several seeds."""
-
-    name: str
-    seeds: tuple[Seed, ...]
-
-    def figures(self, key: str) -> list[float]:
-        """One number of every seed's evaluation; none if one of them does not tell it."""
-        found = [seed.evaluation.figure(key) for seed in self.seeds]
-        known = [figure for figure in found if figure is not None]
-        return known if len(known) == len(found) else []
-
-    @property
-    def seeds_by_distance_to_median(self) -> list[Seed]:
-        """First the seed in the middle by return: what a user of the recipe may expect."""
-        ordered = sorted(self.seeds, key=lambda seed: seed.evaluation.return_mean or 0.0)
-        middle = len(ordered) // 2
-        places = sorted(range(len(ordered)), key=lambda place: abs(place - middle))
-        return [ordered[place] for place in places]
+def in_published_order(names: Iterable[str], published: Iterable[str]) -> list[str]:
+    """Names of rows in the order in which they were published, our own behind them by name."""
+    places = {name: place for place, name in enumerate(published)}
+    return sorted(names, key=lambda name: (places.get(name, len(places)), name))
 
 
-def load_rows(folder: Path) -> list[ResultRow]:
+def load_rows(folder: Path) -> list[RunGroup]:
     """Reads ``folder/ROW/seedN`` of all rows; runs that are not evaluated yet are left out.
 
     Raises:
@@ -100,9 +44,8 @@ def load_rows(folder: Path) -> list[ResultRow]:
     rows = []
     for row_dir in sorted(path for path in folder.glob("*") if path.is_dir()):
         runs = sorted(run for run in row_dir.glob(f"{SEED}*") if (run / EVALUATION).is_file())
-        seeds = sorted((load_seed(run) for run in runs), key=lambda seed: seed.seed)
-        if seeds:
-            rows.append(ResultRow(row_dir.name, tuple(seeds)))
+        if runs:
+            rows.append(_in_order(row_dir.name, [load_run(run) for run in runs]))
     if not rows:
         raise RunDirectoryError(
             f"{folder} holds no evaluated run ROW/{SEED}N/{EVALUATION}; make them with: make rows"
@@ -110,90 +53,53 @@ def load_rows(folder: Path) -> list[ResultRow]:
     return rows
 
 
-def load_seed(run_dir: Path) -> Seed:
-    """Reads one evaluated run.
-
-    Raises:
-        RunDirectoryError: If it has no evaluation.
-    """
-    return Seed(
-        load_evaluation(run_dir),
-        tuple(read_lines(run_dir / LEARNING_CURVE)),
-        tuple(read_lines(run_dir / ALARMS)),
-        run_dir,
-    )
-
-
-def load_published(folder: Path) -> list[ResultRow]:
+def load_published(folder: Path) -> list[RunGroup]:
     """Reads what :func:`~pipeline.results.publish.publish` wrote to ``folder``; it may be nothing.
 
     Raises:
         RunDirectoryError: If a file is damaged.
     """
-    rows: dict[str, list[Seed]] = {}
+    rows: dict[str, list[EvaluatedRun]] = {}
     for path in sorted((folder / ROWS).glob(f"*/{SEED}*.json")):
-        seed = parse_published(path, load_evaluation(path).content)
-        rows.setdefault(path.parent.name, []).append(seed)
-    return [
-        ResultRow(name, tuple(sorted(seeds, key=lambda s: s.seed))) for name, seeds in rows.items()
-    ]
+        run = parse_published(path, load_evaluation(path).content)
+        rows.setdefault(path.parent.name, []).append(run)
+    return [_in_order(name, runs) for name, runs in rows.items()]
 
 
-def parse_published(path: Path, content: Mapping[str, Any]) -> Seed:
-    """The run of which a published file tells.
-
-    Args:
-        path: For messages.
-        content: Of the file.
-
-    Raises:
-        RunDirectoryError: If it is damaged.
-    """
-    try:
-        evaluation = dict(content)
-        curve, alarms = evaluation.pop("curve"), evaluation.pop("alarms")
-        points = zip(*curve.values(), strict=True)
-        rows = in_order(dict(zip(curve, point, strict=True)) for point in points)
-        return Seed(Evaluation.of(evaluation), tuple(rows), tuple(alarms))
-    except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as error:
-        raise RunDirectoryError(
-            f"{path} is not a published run ({error}); restore or remove it"
-        ) from error
+def _in_order(name: str, runs: Iterable[EvaluatedRun]) -> RunGroup:
+    return RunGroup(name, tuple(sorted(runs, key=lambda run: run.seed)))
 
 
-def merge_rows(earlier: Sequence[ResultRow], later: Sequence[ResultRow]) -> list[ResultRow]:
+def merge_rows(earlier: Sequence[RunGroup], later: Sequence[RunGroup]) -> list[RunGroup]:
     """All seeds of both; where both have a seed of a row, the later one counts.
 
     Raises:
         RunDirectoryError: If a row that gains seeds would hold those of different recipes.
     """
-    rows: dict[str, dict[int, Seed]] = {}
+    rows: dict[str, dict[int, EvaluatedRun]] = {}
     for row in (*earlier, *later):
-        rows.setdefault(row.name, {}).update({seed.seed: seed for seed in row.seeds})
-    merged = [
-        ResultRow(name, tuple(seeds[number] for number in sorted(seeds)))
-        for name, seeds in rows.items()
-    ]
+        rows.setdefault(row.name, {}).update({run.seed: run for run in row.runs})
+    merged = [_in_order(name, runs.values()) for name, runs in rows.items()]
     added = {row.name for row in later}
     for row in merged:
         if row.name in added:
-            _require_one_recipe(row)
+            difference = recipe_difference(row)
+            if difference is not None:
+                raise RunDirectoryError(
+                    f"{difference}; publish to another folder (OUT=...), or remove "
+                    f"{ROWS}/{row.name} from this one"
+                )
     return merged
 
 
-def _require_one_recipe(row: ResultRow) -> None:
-    first, *others = (
-        {**BEFORE_IT_WAS_NAMED, **seed.published()["made_from"]} for seed in row.seeds
-    )
+def recipe_difference(row: RunGroup) -> str | None:
+    """In what two seeds of a row are of different recipes; None if they are of one."""
+    first, *others = ({**BEFORE_IT_WAS_NAMED, **run.published()["made_from"]} for run in row.runs)
     for other in others:
         for key in RECIPE:
             if other.get(key) != first.get(key):
-                raise RunDirectoryError(
+                return (
                     f"row {row.name}: seed {first['seed']} has {key} {first.get(key)!r}, "
-                    f"seed {other['seed']} has {other.get(key)!r}; publish to another folder "
-                    f"(OUT=...), or remove {ROWS}/{row.name} from this one"
+                    f"seed {other['seed']} has {other.get(key)!r}"
                 )
-
-
-def _short(value: Any) -> Any:
-    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+    return None

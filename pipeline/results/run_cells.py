@@ -19,8 +19,10 @@ from pipeline.results import again
 from pipeline.results.cells import OWN, Cell
 from pipeline.results.demonstrators import Demonstrators, demonstrators
 from pipeline.results.evaluation import Evaluation, Versions
-from pipeline.results.rows import ORDER, Seed, load_seed
+from pipeline.results.reading import load_run
+from pipeline.results.rows import published_names
 from pipeline.results.run_tables import row_name
+from pipeline.results.runs import EvaluatedRun
 from pipeline.run_dir import saved_recipe
 from pipeline.updates import critic_updates
 
@@ -60,7 +62,7 @@ def read_cell(run_dir: Path, listed: Mapping[str, Demonstrators], *, unclean: bo
         RunDirectoryError: If it is not evaluated or not to its end, if configuration and evaluation
             are of two runs, or if a file cannot be read or names no revision.
     """
-    recipe, run = saved_recipe(run_dir), load_seed(run_dir)
+    recipe, run = saved_recipe(run_dir), load_run(run_dir)
     _require_one_run(recipe, run)
     _require_its_end(recipe, run)
     trained_with = _versions(run_dir)
@@ -107,7 +109,7 @@ def row_of(recipe: Recipe) -> str:
     A run of fewer demonstrations, or without those that its task multiplies by default, is another
     row: ``best, 5 demonstrations``, ``best, not multiplied``.
     """
-    name = row_name(recipe.variant, recipe.loss.bc_weight.init, ORDER)
+    name = row_name(recipe.variant, recipe.loss.bc_weight.init, published_names())
     fewer = recipe.demos.limit
     task = task_of_ours(recipe)
     multiplies = task is not None and task.defaults.get(PRESET, {}).get(MULTIPLY, False)
@@ -134,18 +136,18 @@ def _short(task: str) -> str:
     return f"{Path(file).name}:{name}" if separator and file.endswith(".py") else task
 
 
-def _without_folders(run: Seed) -> Seed:
+def _without_folders(run: EvaluatedRun) -> EvaluatedRun:
     task = _short(str(run.evaluation.made_from.task_name))
     content = run.evaluation.content
     made_from = {**content["made_from"], "task": task}
-    return replace(run, evaluation=Evaluation.of({**content, "made_from": made_from}))
+    return replace(run, evaluation_or_none=Evaluation.of({**content, "made_from": made_from}))
 
 
-def _again(run: Seed) -> str:
-    return again.evaluate(Path(run.run_dir or ""))
+def _again(run: EvaluatedRun) -> str:
+    return again.evaluate(run.path)
 
 
-def _require_one_run(recipe: Recipe, run: Seed) -> None:
+def _require_one_run(recipe: Recipe, run: EvaluatedRun) -> None:
     made_from = run.evaluation.made_from
     told = {key: getattr(made_from, key) for key in SAME} | {"task": made_from.task_name}
     trained = {key: getattr(recipe, key) for key in SAME} | {"task": recipe.task.name}
@@ -154,32 +156,31 @@ def _require_one_run(recipe: Recipe, run: Seed) -> None:
     for key, value in trained.items():
         if told[key] != value:
             raise RunDirectoryError(
-                f"{run.run_dir}: its {EVALUATION} is of {key} {told[key]!r} and its {CONFIG} of "
+                f"{run.path}: its {EVALUATION} is of {key} {told[key]!r} and its {CONFIG} of "
                 f"{value!r}; make it again with: {_again(run)}"
             )
 
 
-def _require_its_end(recipe: Recipe, run: Seed) -> None:
-    assert run.run_dir is not None
+def _require_its_end(recipe: Recipe, run: EvaluatedRun) -> None:
     name = str(run.evaluation.made_from.checkpoint)
     found = CHECKPOINT.fullmatch(name)
     if found is None:
         raise RunDirectoryError(
-            f"{run.run_dir}: its {EVALUATION} is of {name}, which is no checkpoint of a run; make "
+            f"{run.path}: its {EVALUATION} is of {name}, which is no checkpoint of a run; make "
             f"it again with: {_again(run)}"
         )
     judged = int(found[1])
-    reached = max([judged, *_checkpoints(run.run_dir), *(int(row[FRAMES]) for row in run.curve)])
+    reached = max([judged, *_checkpoints(run.path), *(int(row[FRAMES]) for row in run.curve)])
     if judged < reached:
         raise RunDirectoryError(
-            f"{run.run_dir}: its {EVALUATION} is older than the run, of {judged} frames or updates "
+            f"{run.path}: its {EVALUATION} is older than the run, of {judged} frames or updates "
             f"where it has {reached}; make it again with: {_again(run)}"
         )
     total = recipe.bc.updates if recipe.offline else recipe.collector.total_frames
     if judged < total:
         raise RunDirectoryError(
-            f"{run.run_dir} has got as far as {judged} of {total} frames or updates; go on with: "
-            f"make train RESUME={run.run_dir}, then make eval RUN={run.run_dir}"
+            f"{run.path} has got as far as {judged} of {total} frames or updates; go on with: "
+            f"make train RESUME={run.path}, then make eval RUN={run.path}"
         )
 
 

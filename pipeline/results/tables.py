@@ -8,12 +8,12 @@ from statistics import fmean
 from tabulate import tabulate
 
 from envs.reference import Column, Reference
-from pipeline.results.rows import ResultRow
 from pipeline.results.run_tables import cell, reference_row
+from pipeline.results.runs import RunGroup
 from pipeline.results.statistics import Estimate, interquartile_means
 
 
-def render_rows(rows: Sequence[ResultRow], reference: Reference) -> str:
+def render_rows(rows: Sequence[RunGroup], reference: Reference) -> str:
     """The task's tables in Markdown: interquartile mean [95 % interval] over seeds / published.
 
     A row with one seed has no interval; a cell without a value in some seed (none got so far) shows
@@ -26,7 +26,7 @@ def render_rows(rows: Sequence[ResultRow], reference: Reference) -> str:
     )
 
 
-def render_summary(rows: Sequence[ResultRow], reference: Reference) -> str:
+def render_summary(rows: Sequence[RunGroup], reference: Reference) -> str:
     """The return and the last table in Markdown: mean over seeds / published, where it is.
 
     The README shows it; means, because a seed that fails must show.
@@ -36,7 +36,7 @@ def render_summary(rows: Sequence[ResultRow], reference: Reference) -> str:
     lines = [
         [
             f"`{row.name}`",
-            len(row.seeds),
+            len(row.runs),
             *(
                 cell(column, _mean(row, column.key)) + (f" / {theirs}" if theirs != "-" else "")
                 for column in columns
@@ -48,23 +48,23 @@ def render_summary(rows: Sequence[ResultRow], reference: Reference) -> str:
     return tabulate(lines, headers=_headers(columns), tablefmt="github")
 
 
-def _mean(row: ResultRow, key: str) -> float | None:
+def _mean(row: RunGroup, key: str) -> float | None:
     """Over seeds; None if an evaluation does not tell."""
     figures = row.figures(key)
     return fmean(figures) if figures else None
 
 
-def _theirs(row: ResultRow, column: Column, reference: Reference) -> str:
-    made_from = row.seeds[0].evaluation.made_from
+def _theirs(row: RunGroup, column: Column, reference: Reference) -> str:
+    made_from = row.runs[0].evaluation.made_from
     theirs = reference_row(reference, made_from.variant, made_from.bc_weight) or {}
     return cell(column, theirs.get(column.key))
 
 
-def _table(rows: Sequence[ResultRow], columns: Sequence[Column], reference: Reference) -> str:
+def _table(rows: Sequence[RunGroup], columns: Sequence[Column], reference: Reference) -> str:
     lines = []
     for row in rows:
         cells = [_cell(row, column, reference) for column in columns]
-        lines.append([row.name, len(row.seeds), *cells])
+        lines.append([row.name, len(row.runs), *cells])
     return tabulate(lines, headers=_headers(columns), tablefmt="github")
 
 
@@ -72,7 +72,7 @@ def _headers(columns: Sequence[Column]) -> list[str]:
     return ["row", "seeds", *(column.header for column in columns)]
 
 
-def _cell(row: ResultRow, column: Column, reference: Reference) -> str:
+def _cell(row: RunGroup, column: Column, reference: Reference) -> str:
     figures, theirs = row.figures(column.key), _theirs(row, column, reference)
     if not figures:
         return f"- / {theirs}"

@@ -10,8 +10,8 @@ import pytest
 from docs.lab import data
 from docs.site import lab
 from docs.site.page import Page
-from pipeline.report.sources import read_runs
-from pipeline.results.rows import Seed
+from pipeline.results.reading import read_runs
+from pipeline.results.runs import EvaluatedRun
 from tests.pipeline.results.evaluated import evaluation_of
 
 HEADINGS = ["Change", "Result", "Decision", "Data"]
@@ -80,7 +80,7 @@ def test_the_lowest_evaluation_counts_after_ninety_per_cent(
     success: list[float | None], lowest: float | None
 ):
     curve = tuple({"frames": k, "share_gt_1_35": share} for k, share in enumerate(success))
-    assert lab.lowest(Seed(evaluation_of({}), curve, ())) == lowest
+    assert lab.lowest(EvaluatedRun(Path("run"), evaluation_of({}), curve)) == lowest
 
 
 def test_a_table_has_the_means_and_the_worst_seed():

@@ -14,7 +14,7 @@ from docs.site.page import Page
 from docs.site.places import DOCS
 from pipeline.results.cells import CONDITIONS, Cell, save_cells
 from pipeline.results.evaluation import Evaluation
-from pipeline.results.rows import Seed
+from pipeline.results.runs import EvaluatedRun
 
 OURS = ("door", "hammer", "pen", "relocate")
 Publish = Callable[..., None]
@@ -45,7 +45,7 @@ def cell(
         {"frames": frames, "success_once": None if once is None else score, "return_mean": score}
         for frames, score in ((0, 0.0), (100, 0.9))
     )
-    run = Seed(Evaluation.of(evaluation | told), curve, ())
+    run = EvaluatedRun(Path("run"), Evaluation.of(evaluation | told), curve)
     return Cell(task, reward, row, dict.fromkeys(CONDITIONS) | conditions, run)
 
 
@@ -216,7 +216,7 @@ def test_the_door_s_published_rows_are_cells_too():
     forget()
     row = cells.result("door", "dense", "bc_sac_1")
     assert row is not None
-    assert [seed.seed for seed in row.seeds] == [0, 1, 2, 3, 4]
+    assert [run.seed for run in row.runs] == [0, 1, 2, 3, 4]
     assert cells.condition("door", "dense", "bc_sac_1", "frames") == 100_000
     assert cells.condition("door", "dense", "bc_sac_1", "updates") is None  # older than the count
     assert cells.middle(row, task_tables.STEPS[0]) != "-"  # under the name of before

@@ -27,7 +27,8 @@ from pipeline.results.curves import on_grid
 from pipeline.results.evaluation import Evaluation
 from pipeline.results.export import export_policy, exported_seed
 from pipeline.results.publish import publish
-from pipeline.results.rows import ResultRow, Seed, load_published, load_rows, merge_rows
+from pipeline.results.rows import load_published, load_rows, merge_rows
+from pipeline.results.runs import EvaluatedRun, RunGroup
 from pipeline.results.statistics import interquartile_means, over_tasks
 from pipeline.results.tables import render_summary
 from pipeline.run_dir import load_recipe
@@ -113,7 +114,7 @@ def published(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_runs_that_are_not_evaluated_are_left_out(runs: Path):
-    assert {row.name: [s.seed for s in row.seeds] for row in load_rows(runs)} == {
+    assert {row.name: [run.seed for run in row.runs] for row in load_rows(runs)} == {
         "bc": [0],
         "best_of_two": [0, 1],
     }
@@ -168,10 +169,11 @@ def test_the_tables_have_a_line_for_each_row(published: Path):
 def test_the_summary_is_the_mean_over_seeds_beside_the_paper_s_number():
     shares = dict.fromkeys(("share_gt_0", "share_gt_0_2", "share_gt_1_0"), 1.0)
     rows = [
-        ResultRow(
+        RunGroup(
             name,
             tuple(
-                Seed(
+                EvaluatedRun(
+                    Path("run"),
                     evaluation_of(
                         {"seed": seed, "variant": variant},
                         return_mean=value,
@@ -179,8 +181,6 @@ def test_the_summary_is_the_mean_over_seeds_beside_the_paper_s_number():
                         success_at_end=share / 2,
                         **shares,
                     ),
-                    (),
-                    (),
                 )
                 for seed, (value, share) in enumerate(((1.0, 1.0), (2.0, 0.97), (9.0, 0.4)))
             ),
@@ -219,10 +219,10 @@ def test_the_card_of_a_policy_says_how_it_acted(
     action: dict, said: str, runs: Path, tmp_path: Path
 ):
     (row,) = (row for row in load_rows(runs) if row.name == "bc")
-    evaluation = row.seeds[0].evaluation.content
+    evaluation = row.runs[0].evaluation.content
     made_from = {k: v for k, v in evaluation["made_from"].items() if k != "noise_scale"}
-    seed = Seed(Evaluation.of({**evaluation, "made_from": {**made_from, **action}}), (), ())
-    export_policy(seed, runs / "bc" / "seed0", tmp_path / "bc", name="bc")
+    changed = Evaluation.of({**evaluation, "made_from": {**made_from, **action}})
+    export_policy(EvaluatedRun(runs / "bc" / "seed0", changed), tmp_path / "bc", name="bc")
     assert said in (tmp_path / "bc" / "README.md").read_text()
 
 
@@ -234,18 +234,18 @@ def test_published_weights_of_another_size_are_refused(published: Path):
 
 
 def test_the_seed_in_the_middle_by_return_comes_first():
-    row = ResultRow("five", tuple(seed_with(n, r) for n, r in enumerate((50, 10, 40, 20, 30))))
-    assert row.seeds_by_distance_to_median[0].evaluation.return_mean == 30
-    nearest = {seed.evaluation.return_mean for seed in row.seeds_by_distance_to_median[:3]}
+    row = RunGroup("five", tuple(seed_with(n, r) for n, r in enumerate((50, 10, 40, 20, 30))))
+    assert row.by_distance_to_median[0].evaluation.return_mean == 30
+    nearest = {run.evaluation.return_mean for run in row.by_distance_to_median[:3]}
     assert nearest == {20, 30, 40}
 
 
 # ---------------------------------------------------------------------- seeds of several sessions
 
 
-def seed_with(number: int, value: float, **made_from: object) -> Seed:
+def seed_with(number: int, value: float, **made_from: object) -> EvaluatedRun:
     origin = {"seed": number, "run": f"seed{number}", "demos": "d.h5", **made_from}
-    return Seed(evaluation_of(origin, return_mean=value), (), ())
+    return EvaluatedRun(Path("run"), evaluation_of(origin, return_mean=value))
 
 
 @pytest.fixture
@@ -304,22 +304,22 @@ def test_the_published_policy_nearest_to_the_median_stays(
 
 
 def test_a_row_of_two_recipes_is_refused():
-    earlier = ResultRow("row", (seed_with(0, 1.0, preset="table"),))
-    later = ResultRow("row", (seed_with(1, 1.0, preset="paper"),))
+    earlier = RunGroup("row", (seed_with(0, 1.0, preset="table"),))
+    later = RunGroup("row", (seed_with(1, 1.0, preset="paper"),))
     with pytest.raises(RunDirectoryError, match="row row: seed 0 has preset 'table', seed 1 has"):
         merge_rows([earlier], [later])
 
 
 def test_an_evaluation_from_before_the_noise_was_named_had_all_of_it():
-    earlier = ResultRow("row", (seed_with(0, 1.0),))
-    merge_rows([earlier], [ResultRow("row", (seed_with(1, 1.0, noise_scale=1.0),))])
-    quieter = ResultRow("row", (seed_with(1, 1.0, noise_scale=0.5),))
+    earlier = RunGroup("row", (seed_with(0, 1.0),))
+    merge_rows([earlier], [RunGroup("row", (seed_with(1, 1.0, noise_scale=1.0),))])
+    quieter = RunGroup("row", (seed_with(1, 1.0, noise_scale=0.5),))
     with pytest.raises(RunDirectoryError, match=r"seed 0 has noise_scale 1\.0, seed 1 has 0\.5"):
         merge_rows([earlier], [quieter])
 
 
 def test_rows_that_gain_nothing_are_not_judged(in_two_goes: tuple[Path, Path], tmp_path: Path):
-    earlier = ResultRow("old", (seed_with(0, 1.0, preset="a"), seed_with(1, 1.0, preset="b")))
+    earlier = RunGroup("old", (seed_with(0, 1.0, preset="a"), seed_with(1, 1.0, preset="b")))
     (old, _) = merge_rows([earlier], load_rows(in_two_goes[0]))
     assert old == earlier
 

@@ -9,8 +9,8 @@ import pytest
 from pipeline.report import films as module
 from pipeline.report.build import build_report
 from pipeline.report.films import films
-from pipeline.report.rows import group
-from pipeline.report.sources import read_runs
+from pipeline.results.grouping import group
+from pipeline.results.reading import read_runs
 from tests.pipeline.report.making import make_run
 
 

@@ -17,8 +17,8 @@ from pipeline.files.run_files import RunDirectoryError
 from pipeline.machine import extras
 from pipeline.report.build import build_report, write_report
 from pipeline.report.page import Report, Section, Table
-from pipeline.report.rows import group
-from pipeline.report.sources import read_runs
+from pipeline.results.grouping import group
+from pipeline.results.reading import read_runs
 from pipeline.results.robustness import ROBUSTNESS, Ladder, Measured, Robustness
 from tests.pipeline.report.making import curve, make_run
 

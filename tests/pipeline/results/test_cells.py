@@ -10,6 +10,7 @@ import h5py
 import pytest
 from typer.testing import CliRunner
 
+from envs.door.paper import PAPER
 from pipeline.cli import app
 from pipeline.files.run_files import CONFIG, EVALUATION, LEARNING_CURVE, VERSIONS, RunDirectoryError
 from pipeline.files.time_use import TIME_USE
@@ -19,6 +20,7 @@ from pipeline.results.evaluation import MadeFrom
 from pipeline.results.evaluation_files import save_evaluation
 from pipeline.results.publish import has_tables
 from pipeline.results.publish_cells import publish_cells, read_cells
+from pipeline.results.rows import in_published_order, published_names
 from pipeline.results.run_cells import find_runs, read_cell, row_of
 from pipeline.results.run_tables import row_name
 from tests.pipeline.results.evaluated import REVISION, evaluated, evaluation_of, made_from, recipe
@@ -318,3 +320,17 @@ def test_make_results_publishes_cells_of_several_folders(tmp_path: Path):
     assert [cell.reward for cell in cells] == ["dense", "sparse"]
     assert {cell.conditions["demonstrations_by"] for cell in cells} == {"human"}
     assert read_cells(folders, out)[0].conditions["demonstrations"] == 4
+
+
+# ---------------------------------------------------------------------------------- order of rows
+
+
+def test_rows_stand_as_they_were_published_and_our_own_behind_them_by_name():
+    published = ("sac", "bc", "bc_sac_1")
+    names = ["mine", "bc_sac_1", "best", "sac", "bc"]
+    assert in_published_order(names, published) == ["sac", "bc", "bc_sac_1", "best", "mine"]
+    assert in_published_order(names, ()) == sorted(names)
+
+
+def test_the_published_names_are_those_of_our_tasks():
+    assert published_names() == tuple(PAPER.rows)

@@ -9,9 +9,9 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
+from pipeline.files.curves import read_lines
 from pipeline.files.run_files import LEARNING_CURVE
 from pipeline.learn.stepper import BCSACStepper
-from pipeline.results.rows import read_lines
 from pipeline.watch.diagnostics import DemonstrationProbe, TrainingState
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, built, make_loss, tiny_config
 

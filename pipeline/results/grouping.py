@@ -1,17 +1,27 @@
-"""Runs of one recipe are a row of the report, its seeds the units of its intervals."""
+"""Which runs are of one recipe, and in what recipes differ."""
 
 from __future__ import annotations
 
 import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.report.sources import ReportRun
-from pipeline.results.rows import RECIPE
+from pipeline.results.runs import EvaluatedRun, RunGroup
 
+RECIPE = (
+    "variant",
+    "preset",
+    "bc_weight",
+    "frames",
+    "demos",
+    "demos_multiplied",
+    "evaluation_seed",
+    "exploration",
+    "noise_scale",
+)
+"""What the seeds of one row have in common, as an evaluation tells it."""
 OF_THE_MACHINE = frozenset(
     {"seed", "cache_dir", "device", "torch_threads", "compile_updates", "onednn", "cuda_graphs"}
     | {"env.num_threads", "env.workers", "demos.multiply.seed"}
@@ -22,37 +32,13 @@ SHOWN = 3
 """Differing keys in the name of a row."""
 
 
-@dataclass(frozen=True)
-class ReportRow:
-    """One recipe and its runs."""
-
-    name: str
-    runs: tuple[ReportRun, ...]
-
-    @property
-    def evaluated(self) -> list[ReportRun]:
-        """Runs with an evaluation."""
-        return [run for run in self.runs if run.evaluation is not None]
-
-    def figures(self, key: str) -> list[float]:
-        """One number of every evaluated run; none if one of them does not tell it."""
-        found = [run.evaluation.figure(key) for run in self.runs if run.evaluation is not None]
-        known = [figure for figure in found if figure is not None]
-        return known if len(known) == len(found) else []
-
-    def told(self, key: str) -> Any:
-        """A value of the recipe, of the first run that tells it."""
-        found = (run.told(key) for run in self.runs)
-        return next((value for value in found if value is not None), None)
-
-
-def group(runs: Sequence[ReportRun]) -> list[ReportRow]:
+def group(runs: Sequence[EvaluatedRun]) -> list[RunGroup]:
     """Rows in the order of their first run.
 
     ``ROW/seedN`` is of row ``ROW``; other runs are together if their recipes are equal but for the
     seed and what is the machine's, and are called after the variant and what differs.
     """
-    named: defaultdict[str, dict[str, list[ReportRun]]] = defaultdict(dict)
+    named: defaultdict[str, dict[str, list[EvaluatedRun]]] = defaultdict(dict)
     for run in runs:
         name = run.folder or str(run.told("variant") or run.path.stem)
         identity = "" if run.folder else json.dumps(recipe(run), sort_keys=True, default=str)
@@ -63,20 +49,20 @@ def group(runs: Sequence[ReportRun]) -> list[ReportRow]:
         keys = different(recipes)
         for members, values in zip(groups.values(), recipes, strict=True):
             told = ", ".join(f"{key}={values.get(key)}" for key in keys[:SHOWN])
-            rows.append(ReportRow(f"{name} ({told})" if keys else name, tuple(members)))
+            rows.append(RunGroup(f"{name} ({told})" if keys else name, tuple(members)))
     return rows
 
 
-def recipe(run: ReportRun) -> Mapping[str, Any]:
+def recipe(run: EvaluatedRun) -> Mapping[str, Any]:
     """What decides what a run learns, by dotted key; of the evaluation if it has no configuration.
 
     Of paths only names count: others have other folders.
     """
-    if not run.config:
+    if not run.settings:
         return {key: _short(run.told(key)) for key in RECIPE}
     return {
         key: _short(value)
-        for key, value in run.config.items()
+        for key, value in run.settings.items()
         if key not in OF_THE_MACHINE and not key.startswith(NOT_OF_THE_RECIPE)
     }
 

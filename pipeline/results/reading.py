@@ -1,16 +1,20 @@
-"""Finds runs and reads what is left of each; what cannot be read is noted and left out."""
+"""Finds runs and reads what is left of each, directories and published files alike.
+
+:func:`read_run` notes what cannot be read and leaves it out; :func:`load_run` is for those who need
+the evaluation.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import yaml
 
-from pipeline.files.curves import count_no_rows, read_lines
+from pipeline.files.curves import count_no_rows, in_order, read_lines
 from pipeline.files.run_files import (
     ALARMS,
     CHECKPOINTS,
@@ -24,7 +28,7 @@ from pipeline.files.run_files import (
 from pipeline.files.time_use import TIME_USE
 from pipeline.renamed import rename_keys
 from pipeline.results import again
-from pipeline.results.evaluation import Evaluation, MadeFrom, Versions
+from pipeline.results.evaluation import Evaluation, Versions
 from pipeline.results.evaluation_files import (
     EPISODES,
     PROGRESS_CURVE,
@@ -34,9 +38,12 @@ from pipeline.results.evaluation_files import (
     load_evaluation,
 )
 from pipeline.results.robustness import ROBUSTNESS, Robustness
-from pipeline.results.rows import ROWS, SEED, parse_published
+from pipeline.results.runs import EvaluatedRun
 
 Read = TypeVar("Read")
+SEED: Final = "seed"
+ROWS: Final = "rows"
+"""Folder of the published files, ``ROW/seedN.json``."""
 BROKEN = (
     OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, yaml.YAMLError
 )  # fmt: skip
@@ -44,59 +51,7 @@ BROKEN = (
 Json = Mapping[str, Any]
 
 
-@dataclass(frozen=True)
-class ReportRun:
-    """What is left of one run; None and empty where something is not.
-
-    Attributes:
-        path: the run directory or the file.
-        folder: name of the folder of its row, where it lies in one (``ROW/seedN``).
-        evaluation: of the policy.
-        curve: rows of the learning curve.
-        alarms: that it raised.
-        episodes: of the evaluation, see ``pipeline.results.evaluation_files``.
-        progress: likewise.
-        config: values of the recipe by dotted key.
-        seconds: of wall time by part.
-        versions: that it was trained with.
-        robustness: of the policy; None where nobody asked.
-        missing: what could not be read and how to get it, a line each.
-    """
-
-    path: Path
-    folder: str | None = None
-    evaluation: Evaluation | None = None
-    curve: Sequence[Json] = ()
-    alarms: Sequence[Json] = ()
-    episodes: Columns = field(default_factory=dict)
-    progress: Columns = field(default_factory=dict)
-    config: Json = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    versions: Versions = field(default_factory=Versions)
-    robustness: Robustness | None = None
-    missing: tuple[str, ...] = ()
-
-    @property
-    def made_from(self) -> MadeFrom | None:
-        """What the evaluation was made from; None without one."""
-        return None if self.evaluation is None else self.evaluation.made_from
-
-    def told(self, key: str) -> Any:
-        """A value of the recipe, from the evaluation or else from the configuration."""
-        found = getattr(self.made_from, "task_name" if key == "task" else key, None)
-        return self.config.get(OF_CONFIG.get(key, key)) if found is None else found
-
-    @property
-    def name(self) -> str:
-        """Where it lies, in short: the last two parts of its path."""
-        return "/".join(self.path.parts[-2:])
-
-
-OF_CONFIG = {"task": "task.name", "demos": "demos.source", "bc_weight": "loss.bc_weight.init"}
-"""Dotted keys of the configuration that an evaluation calls otherwise."""
-
-
-def read_runs(paths: Sequence[Path]) -> list[ReportRun]:
+def read_runs(paths: Sequence[Path]) -> list[EvaluatedRun]:
     """Reads every run that the paths lead to, each once.
 
     A path is a run directory, a published file ``seedN.json`` or another evaluation, or a folder of
@@ -105,7 +60,7 @@ def read_runs(paths: Sequence[Path]) -> list[ReportRun]:
     Raises:
         RunDirectoryError: If a path leads to none.
     """
-    found: dict[Path, ReportRun] = {}
+    found: dict[Path, EvaluatedRun] = {}
     for path in paths:
         runs = list(_runs_at(path, depth=2))
         if not runs:
@@ -117,9 +72,43 @@ def read_runs(paths: Sequence[Path]) -> list[ReportRun]:
     return list(found.values())
 
 
-def read_run(path: Path) -> ReportRun:
-    """Reads a run directory or an evaluation file; never fails, see ``ReportRun.missing``."""
+def read_run(path: Path) -> EvaluatedRun:
+    """Reads a run directory or an evaluation file; never fails, see ``EvaluatedRun.missing``."""
     return _of_directory(path) if path.is_dir() else _of_file(path)
+
+
+def load_run(path: Path) -> EvaluatedRun:
+    """Reads an evaluated run, likewise.
+
+    Raises:
+        RunDirectoryError: If it has no evaluation that can be read.
+    """
+    run = read_run(path)
+    if run.evaluation_or_none is None:
+        raise RunDirectoryError(run.missing[0])
+    return run
+
+
+def parse_published(path: Path, content: Mapping[str, Any]) -> EvaluatedRun:
+    """The run of which a published file tells.
+
+    Args:
+        path: Of the file.
+        content: That it holds of the run.
+
+    Raises:
+        RunDirectoryError: If it is damaged.
+    """
+    try:
+        evaluation = dict(content)
+        curve, alarms = evaluation.pop("curve"), evaluation.pop("alarms")
+        points = zip(*curve.values(), strict=True)
+        rows = in_order(dict(zip(curve, point, strict=True)) for point in points)
+        return EvaluatedRun(path, Evaluation.of(evaluation), tuple(rows), tuple(alarms))
+    except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as error:
+        raise RunDirectoryError(
+            f"{path} is not a published run ({error}); restore or remove it"
+        ) from error
 
 
 def _runs_at(path: Path, depth: int) -> Iterator[Path]:
@@ -164,7 +153,7 @@ class _Reader:
             return otherwise
 
 
-def _of_directory(path: Path) -> ReportRun:
+def _of_directory(path: Path) -> EvaluatedRun:
     reader = _Reader()
     evaluation = reader(lambda: load_evaluation(path), None)
     nothing: list[dict[str, Any]] = []
@@ -176,15 +165,15 @@ def _of_directory(path: Path) -> ReportRun:
             reader.missing.append(f"{file} is damaged: lines that are no row are left out: {lost}")
     episodes, progress = _tables(reader, path / EVALUATION, evaluation)
     reader.missing.extend(_outdated(path, evaluation))
-    return ReportRun(
+    return EvaluatedRun(
         path=path,
         folder=_folder(path),
-        evaluation=evaluation,
+        evaluation_or_none=evaluation,
         curve=curve,
         alarms=reader(lambda: read_lines(path / ALARMS), []),
         episodes=episodes,
         progress=progress,
-        config=reader(lambda: flat(_yaml(path / CONFIG)), {}),
+        settings=reader(lambda: flat(_yaml(path / CONFIG)), {}),
         seconds=reader(lambda: _object(path / TIME_USE).get("parts_s", {}), {}),
         versions=reader(lambda: Versions.of(_object(path / VERSIONS)), Versions()),
         robustness=reader(lambda: _robustness(path / ROBUSTNESS), None),
@@ -192,19 +181,19 @@ def _of_directory(path: Path) -> ReportRun:
     )
 
 
-def _of_file(path: Path) -> ReportRun:
+def _of_file(path: Path) -> EvaluatedRun:
     reader = _Reader()
     evaluation = reader(lambda: load_evaluation(path), None)
     if evaluation is not None and "curve" in evaluation.content:
-        seed = reader(lambda: parse_published(path, evaluation.content), None)
-        if seed is not None:
-            return ReportRun(path, _folder(path), seed.evaluation, seed.curve, seed.alarms)
-        return ReportRun(path, _folder(path), missing=tuple(reader.missing))
+        run = reader(lambda: parse_published(path, evaluation.content), None)
+        if run is not None:
+            return replace(run, folder=_folder(path))
+        return EvaluatedRun(path, folder=_folder(path), missing=tuple(reader.missing))
     episodes, progress = _tables(reader, path, evaluation)
-    return ReportRun(
+    return EvaluatedRun(
         path=path,
         folder=_folder(path),
-        evaluation=evaluation,
+        evaluation_or_none=evaluation,
         episodes=episodes,
         progress=progress,
         missing=tuple(reader.missing),
