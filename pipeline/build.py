@@ -134,19 +134,7 @@ def _compose(recipe: Recipe, run_dir: Path, time_use: TimeUse) -> Run:
 
 
 def _demonstrations(recipe: Recipe, task: Task) -> Demonstrations | None:
-    needed = (
-        recipe.offline
-        or recipe.pretrain
-        or recipe.sampler.demo_ratio > 0
-        or recipe.sampler.demo_update_period > 0
-        or recipe.sampler.preload
-        or recipe.growth.bc_model
-        or recipe.proposal.used
-        or recipe.curriculum.reverse
-        or recipe.actor.normalise_observations
-        or recipe.critic.normalise_observations
-    )
-    if not needed:
+    if not recipe.uses_demonstrations:
         return None
     return make_demonstrations(
         recipe.demos,

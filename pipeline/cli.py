@@ -152,7 +152,7 @@ def results(
 
     if len(runs) == 1 and has_tables(runs[0]):
         out.mkdir(parents=True, exist_ok=True)
-        for row in publish(runs[0], out, policies=policies):
+        for row in publish(runs[0], out, policies=policies, unclean=unclean):
             typer.echo(f"{row.name}: {len(row.runs)} seeds")
         typer.echo(f"written to {out}")
         return

@@ -155,6 +155,22 @@ class Recipe:
         )
         return replace(options, **given)
 
+    @property
+    def uses_demonstrations(self) -> bool:
+        """Whether anything of the run is made from D: else it is not even read."""
+        return (
+            self.offline
+            or self.pretrain
+            or self.sampler.demo_ratio > 0
+            or self.sampler.demo_update_period > 0
+            or self.sampler.preload
+            or self.growth.bc_model
+            or self.proposal.used
+            or self.curriculum.reverse
+            or self.actor.normalise_observations
+            or self.critic.normalise_observations
+        )
+
     def imports(self, *, training: bool) -> dict[str, str]:
         """What of somebody's code a run imports, by the key that asks for it.
 

@@ -10,6 +10,7 @@ from pipeline.recipe import Recipe
 from pipeline.results.evaluation import Evaluation, MadeFrom
 from pipeline.results.runs import EvaluatedRun
 from pipeline.run_dir import load_recipe, save_recipe
+from pipeline.updates import critic_updates
 
 CARD = "README.md"
 SHOWN = {
@@ -50,7 +51,7 @@ def export_policy(run: EvaluatedRun, folder: Path, *, name: str) -> None:
         env={"num_threads": None},
     )
     save_recipe(folder, portable)
-    write_atomically(folder / CARD, _card(run.evaluation, recipe, name, origin.frames))
+    write_atomically(folder / CARD, card_of(run.evaluation, recipe, name, origin.frames))
 
 
 def _action(made_from: MadeFrom) -> str:
@@ -60,13 +61,21 @@ def _action(made_from: MadeFrom) -> str:
     return f"sampled action, its noise times {scale:g}"
 
 
-def _card(evaluation: Evaluation, recipe: Recipe, name: str, frames: int) -> str:
+def card_of(evaluation: Evaluation, recipe: Recipe, name: str, frames: int) -> str:
+    """What a policy is, what it was made of and what it reached, in Markdown."""
     figures = "\n".join(
         f"| {label} | {figure:.4g} |"
         for key, label in SHOWN.items()
         if (figure := evaluation.figure(key)) is not None
     )
     made_from = evaluation.made_from
+    trained = (
+        f"| updates | {critic_updates(recipe)} |" if recipe.offline else f"| frames | {frames} |"
+    )
+    demonstrations = "none"
+    if recipe.uses_demonstrations:
+        multiplied = ", multiplied" if recipe.demos.multiply.enabled else ""
+        demonstrations = f"{Path(recipe.demos.source).name}{multiplied}"
     return f"""# Policy `{name}`
 
 Of the task `{recipe.task.name}`.
@@ -74,8 +83,8 @@ Of the task `{recipe.task.name}`.
 | | |
 |---|---|
 | variant, preset, seed | {recipe.variant}, {recipe.preset}, {recipe.seed} |
-| frames | {frames} |
-| demonstrations | {Path(recipe.demos.source).name}{", multiplied" if recipe.demos.multiply.enabled else ""} |
+{trained}
+| demonstrations | {demonstrations} |
 | network | {" x ".join(str(width) for width in recipe.actor.hidden)} |
 {figures}
 

@@ -18,7 +18,7 @@ from pipeline.results.rows import (
     load_rows,
     merge_rows,
 )
-from pipeline.results.run_cells import reward_of, task_of_ours
+from pipeline.results.run_cells import require_revisions, reward_of, task_of_ours
 from pipeline.results.run_tables import reference_of
 from pipeline.results.runs import RunGroup
 from pipeline.results.tables import render_rows, render_summary
@@ -31,26 +31,32 @@ SUMMARY = "summary.md"
 POLICIES = "policies"
 
 
-def publish(runs: Path, out: Path, *, policies: bool = True) -> list[RunGroup]:
+def publish(
+    runs: Path, out: Path, *, policies: bool = True, unclean: bool = False
+) -> list[RunGroup]:
     """Writes tables, per-seed files, figures and one policy per row.
 
     Seeds that ``out`` holds already stay and count, so that five seeds of a row may come from
-    machines and days of which no run directory is left. A row's policy is the one nearest to its
-    median return among those whose weights are at hand: below ``runs``, or published earlier.
+    machines and days of which no run directory is left. A row's policy is the one in the
+    middle by success, then return, among those whose weights are at hand: below ``runs``, or
+    published earlier.
 
     Args:
         runs: Holds ``ROW/seedN`` run directories.
         out: Folder, e.g. ``docs/results``.
         policies: Whether policies are written.
+        unclean: Whether files that no revision holds may have been at work.
 
     Returns:
         The rows, in the order of the tables.
 
     Raises:
-        RunDirectoryError: If there is nothing to publish, something cannot be read, or a row would
-            mix recipes; nothing is written then.
+        RunDirectoryError: If there is nothing to publish, something cannot be read, a row would
+            mix recipes, or a run names no revision; nothing is written then.
     """
     new = load_rows(runs)
+    for run in () if unclean else (run for row in new for run in row.runs):
+        require_revisions(run)
     rows = merge_rows(load_published(out), new)
     reference = reference_of([run.evaluation for row in rows for run in row.runs])
     names = in_published_order((row.name for row in rows), reference.rows)

@@ -67,8 +67,8 @@ def read_cell(run_dir: Path, listed: Mapping[str, Demonstrators], *, unclean: bo
     _require_its_end(recipe, run)
     trained_with = _versions(run_dir)
     made_from = run.evaluation.made_from
-    for what, told in (("trained", Versions.of(trained_with)), ("evaluated", made_from.versions)):
-        _require_revision(run_dir, what, told or Versions(), unclean=unclean)
+    if not unclean:
+        require_revisions(run)
     demos = demonstrators(made_from, recipe.demos.limit, listed)
     wall_s = TimeUse.read_wall_s(run_dir)
     return Cell(
@@ -189,14 +189,22 @@ def _checkpoints(run_dir: Path) -> list[int]:
     return [int(found[1]) for found in names if found is not None]
 
 
-def _require_revision(run_dir: Path, what: str, told: Versions, *, unclean: bool) -> None:
-    if unclean or (told.git and not told.git_dirty):
-        return
-    why = "with changes that no revision holds" if told.git else "outside any revision"
-    raise RunDirectoryError(
-        f"{run_dir} was {what} {why}: commit, and make it again, or publish it as it is with "
-        "ARGS=--unclean"
-    )
+def require_revisions(run: EvaluatedRun) -> None:
+    """Whether a revision holds all that trained and evaluated a run.
+
+    Raises:
+        RunDirectoryError: If none does, or its files do not say.
+    """
+    trained = Versions.of(_versions(run.path))
+    for what, versions in (("trained", trained), ("evaluated", run.evaluation.made_from.versions)):
+        if versions is not None and versions.git and not versions.git_dirty:
+            continue
+        changed = versions is not None and versions.git
+        why = "with changes that no revision holds" if changed else "outside any revision"
+        raise RunDirectoryError(
+            f"{run.path} was {what} {why}: commit, and make it again, or publish it as it is with "
+            "ARGS=--unclean"
+        )
 
 
 def _versions(run_dir: Path) -> Mapping[str, Any]:

@@ -121,8 +121,8 @@ class RunGroup:
 
     @property
     def by_distance_to_median(self) -> list[EvaluatedRun]:
-        """First the run in the middle by return: what a user of the recipe may expect."""
-        ordered = sorted(self.runs, key=lambda run: run.evaluation.return_mean or 0.0)
+        """First the run in the middle by success, then return: what its user may expect."""
+        ordered = sorted(self.runs, key=lambda run: _rank(run.evaluation))
         middle = len(ordered) // 2
         places = sorted(range(len(ordered)), key=lambda place: abs(place - middle))
         return [ordered[place] for place in places]
@@ -145,3 +145,7 @@ class RunGroup:
 
 def _short(value: Any) -> Any:
     return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+
+
+def _rank(evaluation: Evaluation) -> tuple[float, float]:
+    return evaluation.figure("success_once") or 0.0, evaluation.return_mean or 0.0

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from tensordict import TensorDict
 from typer.testing import CliRunner
 
+from configs import compose
 from envs.door.definition import TASK
 from envs.door.paper import PAPER
 from pipeline.build import build_run
@@ -25,13 +26,13 @@ from pipeline.policy import WEIGHTS, load_policy
 from pipeline.results import statistics
 from pipeline.results.curves import on_grid
 from pipeline.results.evaluation import Evaluation
-from pipeline.results.export import export_policy, exported_seed
+from pipeline.results.export import card_of, export_policy, exported_seed
 from pipeline.results.publish import publish
 from pipeline.results.rows import load_published, load_rows, merge_rows
 from pipeline.results.runs import EvaluatedRun, RunGroup
 from pipeline.results.statistics import interquartile_means, over_tasks
 from pipeline.results.tables import render_summary
-from pipeline.run_dir import load_recipe
+from pipeline.run_dir import load_recipe, saved_recipe
 from tests.pipeline.results.evaluated import evaluation_of
 from tests.pipeline.toys import tiny_config
 
@@ -109,7 +110,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory, demos: Path) -> Path:
 @pytest.fixture(scope="module")
 def published(runs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("results")
-    publish(runs, out)
+    publish(runs, out, unclean=True)
     return out
 
 
@@ -233,7 +234,10 @@ def test_published_weights_of_another_size_are_refused(published: Path):
         load_policy(config, TASK, folder)
 
 
-def test_the_seed_in_the_middle_by_return_comes_first():
+def test_the_seed_in_the_middle_by_success_and_then_return_comes_first():
+    successes = (0.9, 0.7, 1.0, 0.8, 0.95)
+    best_last = [seed_with(n, 100 - n, once=once) for n, once in enumerate(successes)]
+    assert RunGroup("five", tuple(best_last)).by_distance_to_median[0].seed == 0
     row = RunGroup("five", tuple(seed_with(n, r) for n, r in enumerate((50, 10, 40, 20, 30))))
     assert row.by_distance_to_median[0].evaluation.return_mean == 30
     nearest = {run.evaluation.return_mean for run in row.by_distance_to_median[:3]}
@@ -243,9 +247,9 @@ def test_the_seed_in_the_middle_by_return_comes_first():
 # ---------------------------------------------------------------------- seeds of several sessions
 
 
-def seed_with(number: int, value: float, **made_from: object) -> EvaluatedRun:
+def seed_with(number: int, value: float, once: float = 1.0, **made_from: object) -> EvaluatedRun:
     origin = {"seed": number, "run": f"seed{number}", "demos": "d.h5", **made_from}
-    return EvaluatedRun(Path("run"), evaluation_of(origin, return_mean=value))
+    return EvaluatedRun(Path("run"), evaluation_of(origin, return_mean=value, success_once=once))
 
 
 @pytest.fixture
@@ -262,9 +266,9 @@ def test_publishing_in_two_goes_is_publishing_at_once(
 ):
     both, out = tmp_path / "both", tmp_path / "out"
     shutil.copytree(runs / "best_of_two", both / "two")
-    publish(both, tmp_path / "at_once", policies=False)
+    publish(both, tmp_path / "at_once", policies=False, unclean=True)
     for folder in in_two_goes:
-        publish(folder, out)
+        publish(folder, out, unclean=True)
         shutil.rmtree(folder)  # as a machine that is given back
     for name in (
         "table.json",
@@ -280,10 +284,10 @@ def test_a_seed_that_is_run_again_replaces_its_published_one(
     in_two_goes: tuple[Path, Path], tmp_path: Path
 ):
     first, _ = in_two_goes
-    publish(first, tmp_path / "out", policies=False)
+    publish(first, tmp_path / "out", policies=False, unclean=True)
     path = first / "two" / "seed0" / EVALUATION
     path.write_text(json.dumps({**json.loads(path.read_text()), "return_mean": 123.0}))
-    (row,) = publish(first, tmp_path / "out", policies=False)
+    (row,) = publish(first, tmp_path / "out", policies=False, unclean=True)
     assert row.figures("return_mean") == [123.0]
 
 
@@ -294,12 +298,12 @@ def test_the_published_policy_nearest_to_the_median_stays(
     for folder, value in ((first, 10.0), (second, 0.0)):
         (path,) = folder.glob(f"two/*/{EVALUATION}")
         path.write_text(json.dumps({**json.loads(path.read_text()), "return_mean": value}))
-    publish(first, tmp_path / "out")
+    publish(first, tmp_path / "out", unclean=True)
     shutil.rmtree(first)
-    publish(second, tmp_path / "out")  # of 0 and 10, the upper one is the middle
+    publish(second, tmp_path / "out", unclean=True)  # of 0 and 10, the upper one is the middle
     assert exported_seed(tmp_path / "out" / "policies" / "two") == 0
     path.write_text(json.dumps({**json.loads(path.read_text()), "return_mean": 20.0}))
-    publish(second, tmp_path / "out")
+    publish(second, tmp_path / "out", unclean=True)
     assert exported_seed(tmp_path / "out" / "policies" / "two") == 1
 
 
@@ -325,7 +329,7 @@ def test_rows_that_gain_nothing_are_not_judged(in_two_goes: tuple[Path, Path], t
 
 
 def test_a_damaged_published_file_is_named(in_two_goes: tuple[Path, Path], tmp_path: Path):
-    publish(in_two_goes[0], tmp_path / "out", policies=False)
+    publish(in_two_goes[0], tmp_path / "out", policies=False, unclean=True)
     path = tmp_path / "out" / "rows" / "two" / "seed0.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "curve": {"a": [1], "b": []}}))
     with pytest.raises(RunDirectoryError, match=r"seed0\.json is not a published run"):
@@ -336,7 +340,8 @@ def test_a_damaged_published_file_is_named(in_two_goes: tuple[Path, Path], tmp_p
 
 
 def test_results_can_leave_the_policies_out(runs: Path, tmp_path: Path):
-    done = CliRunner().invoke(app, ["results", str(runs), "--out", str(tmp_path), "--no-policies"])
+    typed = ["results", str(runs), "--out", str(tmp_path), "--no-policies", "--unclean"]
+    done = CliRunner().invoke(app, typed)
     assert done.exit_code == 0, done.output
     assert "best_of_two: 2 seeds" in done.output
     assert (tmp_path / "table.json").is_file()
@@ -365,3 +370,25 @@ def test_a_run_without_a_curve_cannot_be_plotted(runs: Path, tmp_path: Path):
         CliRunner().invoke(app, ["plot", str(tmp_path)], catch_exceptions=False)
     with pytest.raises(RunDirectoryError, match=r"is no run: name run directories"):
         CliRunner().invoke(app, ["plot", str(tmp_path / "no")], catch_exceptions=False)
+
+
+def test_runs_of_changes_that_no_revision_holds_are_no_rows_unless_it_is_said(
+    runs: Path, tmp_path: Path
+):
+    folder = tmp_path / "runs"
+    shutil.copytree(runs, folder)
+    versions = folder / "bc" / "seed0" / "versions.json"
+    versions.write_text(json.dumps({"git": None, "packages": {}}))
+    with pytest.raises(RunDirectoryError, match=r"was trained outside any revision.*--unclean"):
+        publish(folder, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_card_of_a_policy_says_what_it_was_made_of(published: Path, runs: Path):
+    cards = {name: published / "policies" / name / "README.md" for name in ("bc", "best_of_two")}
+    updates = saved_recipe(runs / "bc" / "seed0").bc.updates
+    assert f"| updates | {updates} |" in cards["bc"].read_text()
+    assert "| frames | " not in cards["bc"].read_text()
+    assert "| frames | " in cards["best_of_two"].read_text()
+    recipe = compose("variant=sac", "task.name=door")
+    assert "| demonstrations | none |" in card_of(seed_with(0, 1.0).evaluation, recipe, "sac", 10)
