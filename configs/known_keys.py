@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from difflib import get_close_matches
-from typing import Any, Final
+from typing import Final
 
+from pipeline.dotted import names
 from pipeline.files.run_files import PLACES
 from pipeline.recipe import Recipe
 
@@ -26,7 +27,7 @@ def require_known(overrides: Sequence[str]) -> None:
         ValueError: naming the key and those most like it.
     """
     values = Recipe().plain()
-    keys = [*CHOICES, *_keys(values)]
+    keys = [*CHOICES, *names(values)]
     for override in overrides:
         found = PLAIN.match(override)
         if found is None or found[1] in keys or found[1].startswith("hydra."):
@@ -34,11 +35,3 @@ def require_known(overrides: Sequence[str]) -> None:
         alike = get_close_matches(found[1], keys, n=3)
         meant = f"did you mean {' or '.join(alike)}? All" if alike else "all"
         raise ValueError(f"there is no key {found[1]}: {meant} are in docs/reference/settings.md")
-
-
-def _keys(values: Mapping[str, Any], before: str = "") -> Iterator[str]:
-    """Dotted names of all values and of the groups that they are in."""
-    for key, value in values.items():
-        yield f"{before}{key}"
-        if isinstance(value, Mapping):
-            yield from _keys(value, f"{before}{key}.")

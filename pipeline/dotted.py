@@ -46,4 +46,4 @@ def put(values: dict[str, Any], key: str, value: Any) -> None:
 
 def join(group: str, key: str) -> str:
     """The dotted key of a key in a group; the outermost group has no name."""
-    return f"{group}.{key}" if group else key
+    return f"{group}.{key}" if group else str(key)

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
+from pipeline.dotted import put
+
 RENAMED: Final[Mapping[str, str]] = {
     "env.name": "task.name",
     "env.open_steps": "env.success_steps",
@@ -56,9 +58,9 @@ def rename_keys(config: dict[str, Any]) -> dict[str, Any]:
         holder = _holder(config, path)
         if holder is None or key not in holder:
             continue
-        _put(config, new, holder.pop(key))
+        put(config, new, holder.pop(key))
         for implied, value in IMPLIED.get(old, {}).items():
-            _put(config, implied, value)
+            put(config, implied, value)
     return config
 
 
@@ -69,10 +71,3 @@ def _holder(config: dict[str, Any], path: list[str]) -> dict[str, Any] | None:
             return None
         config = found
     return config
-
-
-def _put(config: dict[str, Any], key: str, value: object) -> None:
-    *path, last = key.split(".")
-    for name in path:
-        config = config.setdefault(name, {})
-    config[last] = value

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 from tabulate import tabulate
 
+from pipeline.dotted import flatten, nest
 from pipeline.files.run_files import RunDirectoryError
 from pipeline.recipe import Recipe
 
@@ -54,19 +55,16 @@ Changes = Mapping[str, tuple[Any, Any]]
 
 def as_decided(asked: Recipe, saved: Recipe) -> Recipe:
     """What ``asked`` leaves open is what the run decided: it goes on computing as it did."""
-    wanted, decided = dict(_leaves(asked.plain())), dict(_leaves(saved.plain()))
+    wanted, decided = flatten(asked.plain()), flatten(saved.plain())
     for key, open_value in DECIDED.items():
         if wanted[key] == open_value:
-            change = decided[key]
-            for part in reversed(key.split(".")):
-                change = {part: change}
-            asked = asked.changed(**change)
+            asked = asked.changed(**nest(key, decided[key]))
     return asked
 
 
 def changes(saved: Recipe, asked: Recipe) -> Changes:
     """In which keys the two differ."""
-    old, new = dict(_leaves(saved.plain())), dict(_leaves(asked.plain()))
+    old, new = flatten(saved.plain()), flatten(asked.plain())
     keys = dict.fromkeys([*old, *new])
     return {key: (old.get(key), new.get(key)) for key in keys if old.get(key) != new.get(key)}
 
@@ -114,14 +112,6 @@ def entry(changed: Changes, frames: int) -> dict[str, Any]:
         "at": datetime.now(UTC).isoformat(timespec="seconds"),
         "changed": {key: [old, new] for key, (old, new) in changed.items()},
     }
-
-
-def _leaves(values: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in values.items():
-        if isinstance(value, Mapping) and value:
-            yield from _leaves(value, f"{where}{key}.")
-        else:
-            yield f"{where}{key}", value
 
 
 def _shown(value: Any) -> str:

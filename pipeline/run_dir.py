@@ -12,6 +12,7 @@ from typing import Any
 
 import yaml
 
+from pipeline.dotted import nest
 from pipeline.files.run_files import (
     CONFIG,
     PLACES,
@@ -272,6 +273,4 @@ def overridden(recipe: Recipe, override: str) -> Recipe:
     except (yaml.YAMLError, ValueError) as error:
         told = " ".join(str(error).split())
         raise SettingsError(f"{override!r}: its value cannot be read ({told})") from error
-    for part in reversed(name.split(".")):
-        change = {part: change}
-    return recipe.changed(**change)
+    return recipe.changed(**nest(name, change))

@@ -17,6 +17,7 @@ from typing import Any, get_type_hints
 
 from pydantic.dataclasses import is_pydantic_dataclass
 
+from pipeline.dotted import join
 from pipeline.recipe import Recipe
 
 TYPES = {
@@ -72,7 +73,7 @@ def sections(kind: type[Any] = Recipe, name: str = "") -> Iterator[Section]:
     }
     yield Section(name, kind, tuple(_settings(kind, name, set(inner))))
     for key, section in inner.items():
-        yield from sections(section, f"{name}.{key}" if name else key)
+        yield from sections(section, join(name, key))
 
 
 @cache
@@ -123,7 +124,7 @@ def _settings(kind: type[Any], name: str, inner: set[str]) -> Iterator[Setting]:
         if field.target.id in inner:
             continue
         yield Setting(
-            f"{name}.{field.target.id}" if name else field.target.id,
+            join(name, field.target.id),
             _in_words(ast.unparse(field.annotation)),
             _default(field.value),
             _meaning(comments, field.lineno, field.end_lineno or field.lineno),

@@ -14,6 +14,7 @@ from typing import Any, Final, TypeVar
 
 import yaml
 
+from pipeline.dotted import flatten
 from pipeline.files.curves import count_no_rows, in_order, read_lines
 from pipeline.files.run_files import (
     ALARMS,
@@ -173,7 +174,7 @@ def _of_directory(path: Path) -> EvaluatedRun:
         alarms=reader(lambda: read_lines(path / ALARMS), []),
         episodes=episodes,
         progress=progress,
-        settings=reader(lambda: flat(_yaml(path / CONFIG)), {}),
+        settings=reader(lambda: flatten(_yaml(path / CONFIG)), {}),
         seconds=reader(lambda: _object(path / TIME_USE).get("parts_s", {}), {}),
         versions=reader(lambda: Versions.of(_object(path / VERSIONS)), Versions()),
         robustness=reader(lambda: _robustness(path / ROBUSTNESS), None),
@@ -232,15 +233,6 @@ def _outdated(path: Path, evaluation: Evaluation | None) -> list[str]:
 
 def _robustness(path: Path) -> Robustness | None:
     return Robustness.read(path) if path.is_file() else None
-
-
-def flat(values: Json, prefix: str = "") -> dict[str, Any]:
-    """Nested values by dotted key."""
-    found: dict[str, Any] = {}
-    for key, value in values.items():
-        name = f"{prefix}{key}"
-        found |= flat(value, f"{name}.") if isinstance(value, dict) and value else {name: value}
-    return found
 
 
 def _yaml(path: Path) -> Json:
