@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from envs.flatten import Flattener
 from envs.library import calls
 from envs.library.memory import require_memory
-from envs.library.state import restore_state, save_state
+from envs.library.state import OwnStateError, require_same, restore_state, save_state
 from envs.task import TaskFailedError
 
 Array = NDArray[Any]
@@ -146,8 +146,19 @@ class Copies:
         self.layout.flattener.write(put(self.envs[copy]), self.buffers.observation[copy])
 
     def get_state(self) -> dict[str, Array]:
-        """The whole state of all copies, stacked; for environments that can be saved."""
-        states = [save_state(env) for env in self.envs]
+        """The whole state of all copies, stacked; for environments that can be saved.
+
+        Raises:
+            TaskFailedError: an environment's own ``get_state`` failed, or gave a copy a state of
+                other names or shapes than the others.
+        """
+        states = []
+        for i, env in enumerate(self.envs):
+            try:
+                states.append(save_state(env))
+                require_same(states[0], states[-1])
+            except OwnStateError as error:
+                raise TaskFailedError(f"{self._named(i)}: {error}") from error
         stacked = {key: np.stack([state[key] for state in states]) for key in states[0]}
         shared = {name: array.copy() for name, array in vars(self.buffers).items()}
         return (
@@ -157,12 +168,19 @@ class Copies:
         )
 
     def set_state(self, state: Mapping[str, Array]) -> None:
-        """Continue from what :meth:`get_state` gave."""
+        """Continue from what :meth:`get_state` gave.
+
+        Raises:
+            TaskFailedError: an environment's own ``set_state`` failed.
+        """
         for name, array in vars(self.buffers).items():
             array[...] = state[f"buffer/{name}"]
         self.elapsed[...] = state["elapsed"]
         for i, env in enumerate(self.envs):
-            restore_state(env, {key: values[i] for key, values in state.items()})
+            try:
+                restore_state(env, {key: values[i] for key, values in state.items()})
+            except OwnStateError as error:
+                raise TaskFailedError(f"{self._named(i)}: {error}") from error
 
     def close(self) -> None:
         """Close all copies.
@@ -185,8 +203,11 @@ class Copies:
             self.buffers.info[i, k] = info.get(key, np.nan)
 
     def _failed(self, i: int, when: str, error: Exception) -> TaskFailedError:
-        copy = f"task {self.layout.name}: copy {self.first + i}"
+        copy = self._named(i)
         if isinstance(error, calls.OtherApiError):
             return TaskFailedError(f"{copy} {when}: {error}")
         told = " ".join(f"{type(error).__name__}: {error}".split())
         return TaskFailedError(f"{copy} raised {when}: {told}")
+
+    def _named(self, i: int) -> str:
+        return f"task {self.layout.name}: copy {self.first + i}"

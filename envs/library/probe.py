@@ -24,7 +24,7 @@ from envs.library.signals import (
 )
 from envs.library.single import Env, SingleEnv, quiet
 from envs.library.starts import StartState, start_state
-from envs.library.state import continues_exactly
+from envs.library.state import OwnStateError, continues_exactly, offers_state
 from envs.library.vector_env import Interface
 from envs.options import TaskOptions
 from envs.task import TaskFailedError
@@ -214,7 +214,19 @@ def _random_step(name: str, env: Env) -> calls.Stepped:
 
 
 def _resumes(name: str, env: Env) -> bool:
-    return bool(_tried(name, lambda: continues_exactly(env)))
+    def tried() -> tuple[bool, str]:
+        try:
+            return continues_exactly(env), "an episode does not go on from them as it did"
+        except OwnStateError as error:
+            return False, str(error)
+
+    exact, why = _tried(name, tried)
+    if offers_state(env) and not exact:
+        _logger.warning(
+            "task %s offers get_state() and set_state(state), but %s: a resumed run begins its "
+            "episodes anew", name, why,
+        )  # fmt: skip
+    return bool(exact)
 
 
 def _tried(name: str, use: Callable[[], Any], when: str = "when tried") -> Any:

@@ -1,4 +1,8 @@
-"""The whole state of a MuJoCo environment, so that an episode can go on after a restart.
+"""The whole state of an environment, so that an episode can go on after a restart.
+
+It is what a MuJoCo simulation holds, or the array ``state`` of gymnasium's classic control, and
+what the environment or its wrappers offer themselves (``get_state()`` and ``set_state(state)``);
+besides, its generator of random numbers and the steps that time limits have counted.
 
 Only environments for which that is seen to work (:func:`continues_exactly`) are continued: whatever
 else one keeps in Python would be missing from the state.
@@ -6,7 +10,8 @@ else one keeps in Python would be missing from the state.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import inspect
+from collections.abc import Mapping
 from typing import Any, Final
 
 import gymnasium
@@ -16,6 +21,7 @@ from gymnasium.wrappers import TimeLimit
 from numpy.typing import NDArray
 
 from envs.library.layers import layers
+from envs.library.plain import as_arrays, like
 
 Array = NDArray[Any]
 Env = gymnasium.Env[Any, Any]
@@ -50,6 +56,12 @@ STEPS: Final = 12
 """Steps before and after a restored state for it to count as whole."""
 COUNTERS: Final = ("_step_count", "_reset_next_step")
 """dm_control's own place in an episode."""
+CLASSIC: Final = "gymnasium.envs.classic_control."
+"""Modules of environments that keep nothing between steps but their array ``state``."""
+
+
+class OwnStateError(RuntimeError):
+    """``get_state`` or ``set_state`` of somebody's environment does not do; one line says why."""
 
 
 def mujoco_of(env: Env) -> tuple[mujoco.MjModel, mujoco.MjData] | None:
@@ -69,36 +81,56 @@ def mujoco_of(env: Env) -> tuple[mujoco.MjModel, mujoco.MjData] | None:
     return None
 
 
+def offers_state(env: Env) -> bool:
+    """Whether ``env``, or a wrapper of it, offers ``get_state()`` and ``set_state(state)``."""
+    return bool(_offering(env))
+
+
 def save_state(env: Env) -> dict[str, Array]:
-    """What :func:`restore_state` needs, as arrays."""
-    found = mujoco_of(env)
-    assert found is not None
-    model, data = found
-    physics = np.empty(mujoco.mj_stateSize(model, INTEGRATION))
-    mujoco.mj_getState(model, data, physics, INTEGRATION)
-    state = {"physics": physics}
-    state |= {f"model/{name}": getattr(model, name).copy() for name in MODEL_FIELDS}
-    state |= {f"data/{name}": getattr(data, name).copy() for name in DATA_FIELDS}
-    state |= {f"random/{key}": array for key, array in _random_state(env).items()}
+    """What :func:`restore_state` needs, as arrays.
+
+    Raises:
+        OwnStateError: ``get_state`` raised, or gave what no checkpoint can hold.
+    """
+    state: dict[str, Array] = {}
+    if mujoco_of(env) is not None:
+        state |= _mujoco_state(env)
+    if _is_classic(env):
+        state |= _classic_state(env)
+    state |= _own_state(env)
+    # The kind of the generator is that of the environment, and no part of the state.
+    drawn = {key: value for key, value in _random_state(env).items() if key != "bit_generator"}
+    state |= {f"random/{key}": array for key, array in as_arrays(drawn).items()}
     return state | {f"counter/{key}": np.asarray(n) for key, (_, n) in _counters(env).items()}
 
 
+def require_same(one: Mapping[str, Array], other: Mapping[str, Array]) -> None:
+    """Refuses states of two copies that cannot be stacked.
+
+    Raises:
+        OwnStateError: they differ in a name or a shape.
+    """
+    for key in sorted(one.keys() | other.keys()):
+        if key not in one or key not in other or one[key].shape != other[key].shape:
+            raise OwnStateError(
+                f"get_state() gave {key.rpartition('/')[2]!r} in another shape than another copy's"
+            )
+
+
 def restore_state(env: Env, state: Mapping[str, Array]) -> None:
-    """Continue from what :func:`save_state` gave."""
-    found = mujoco_of(env)
-    assert found is not None
+    """Continue from what :func:`save_state` gave.
+
+    Raises:
+        OwnStateError: ``set_state`` raised.
+    """
     # Wrappers that count or check the order of calls begin an episode.
     env.reset()
-    model, data = found
-    for name in MODEL_FIELDS:
-        getattr(model, name)[...] = state[f"model/{name}"]
-    mujoco.mj_setState(model, data, state["physics"], INTEGRATION)
-    mujoco.mj_forward(model, data)
-    # Forward dynamics moved the solver's warm start.
-    mujoco.mj_setState(model, data, state["physics"], INTEGRATION)
-    for name in DATA_FIELDS:
-        getattr(data, name)[...] = state[f"data/{name}"]
-    _set_random_state(env, state)
+    if mujoco_of(env) is not None:
+        _set_mujoco_state(env, state)
+    if _is_classic(env):
+        _set_classic_state(env, state)
+    _set_own_state(env, state)
+    _set_random_state(env, like(_random_state(env), _under("random/", state)))
     for key, (holder, _) in _counters(env).items():
         setattr(holder, key.rpartition("/")[2], state[f"counter/{key}"].item())
 
@@ -108,31 +140,37 @@ def continues_exactly(env: Env) -> bool:
 
     An episode is saved midway and played on, with another begun behind it; the same is played again
     from the saved state, restored in the midst of an episode of another seed.
+
+    Raises:
+        OwnStateError: as :func:`save_state` and :func:`restore_state`.
     """
-    if mujoco_of(env) is None or not _has_random_state(env):
+    if not (offers_state(env) or mujoco_of(env) is not None or _is_classic(env)):
+        return False
+    if not _has_random_state(env):
         return False
     env.action_space.seed(0)
     actions = [env.action_space.sample() for _ in range(STEPS)]
     env.reset(seed=1)
-    for action in actions:
-        env.step(action)
+    _play(env, actions)
     saved = save_state(env)
-    expected = _play(env, actions)
+    expected = _play(env, actions, then_reset=True)
     env.reset(seed=2)
-    for action in actions[::-1]:
-        env.step(action)
+    _play(env, actions[::-1])
     restore_state(env, saved)
-    return _play(env, actions) == expected
+    return _play(env, actions, then_reset=True) == expected
 
 
-def _play(env: Env, actions: list[Any]) -> list[bytes]:
+def _play(env: Env, actions: list[Any], *, then_reset: bool = False) -> list[bytes]:
+    """What ``actions`` show and pay; an episode that ends is followed by another."""
     seen: list[bytes] = []
     for action in actions:
         observation, reward, terminated, truncated, _ = env.step(action)
         seen.append(_numbers(env, observation).tobytes())
         seen.append(np.array([reward, terminated, truncated]).tobytes())
-    observation, _ = env.reset()
-    seen.append(_numbers(env, observation).tobytes())
+        if terminated or truncated:
+            seen.append(_numbers(env, env.reset()[0]).tobytes())
+    if then_reset:
+        seen.append(_numbers(env, env.reset()[0]).tobytes())
     return seen
 
 
@@ -152,6 +190,97 @@ def _counters(env: Env) -> dict[str, tuple[Any, int]]:
     return found
 
 
+def _offering(env: Env) -> dict[int, Any]:
+    """What offers a state of its own, by its depth in the wrappers."""
+    return {depth: layer for depth, layer in enumerate(layers(env)) if _offers(layer)}
+
+
+def _offers(layer: Any) -> bool:
+    get, put = getattr(layer, "get_state", None), getattr(layer, "set_state", None)
+    return _takes(get) and _takes(put, None)
+
+
+def _takes(function: Any, *arguments: Any) -> bool:
+    """Whether it can be called so; gymnasium's `MujocoEnv` has a ``set_state`` of two arguments."""
+    try:
+        inspect.signature(function).bind(*arguments)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def _own_state(env: Env) -> dict[str, Array]:
+    state: dict[str, Array] = {}
+    for depth, layer in _offering(env).items():
+        try:
+            own = as_arrays(layer.get_state())
+        # Whatever somebody's method raises is told in one line.
+        except Exception as error:
+            raise _failed("get_state()", error) from error
+        state |= {f"own/{depth}/{key}": array for key, array in own.items()}
+    return state
+
+
+def _set_own_state(env: Env, state: Mapping[str, Array]) -> None:
+    # From the inside out: a wrapper may look at what it is wrapped around.
+    for depth, layer in reversed(_offering(env).items()):
+        try:
+            template, saved = layer.get_state(), _under(f"own/{depth}/", state)
+            if missing := saved.keys() ^ as_arrays(template).keys():
+                raise LookupError(f"get_state() gives {min(missing)!r} at some times only")
+            layer.set_state(like(template, saved))
+        except Exception as error:
+            raise _failed("set_state()", error) from error
+
+
+def _failed(name: str, error: Exception) -> OwnStateError:
+    told = " ".join(f"{type(error).__name__}: {error}".split())
+    return OwnStateError(f"{name} failed ({told})")
+
+
+def _mujoco_state(env: Env) -> dict[str, Array]:
+    found = mujoco_of(env)
+    assert found is not None
+    model, data = found
+    physics = np.empty(mujoco.mj_stateSize(model, INTEGRATION))
+    mujoco.mj_getState(model, data, physics, INTEGRATION)
+    state = {"physics": physics}
+    state |= {f"model/{name}": getattr(model, name).copy() for name in MODEL_FIELDS}
+    return state | {f"data/{name}": getattr(data, name).copy() for name in DATA_FIELDS}
+
+
+def _set_mujoco_state(env: Env, state: Mapping[str, Array]) -> None:
+    found = mujoco_of(env)
+    assert found is not None
+    model, data = found
+    for name in MODEL_FIELDS:
+        getattr(model, name)[...] = state[f"model/{name}"]
+    mujoco.mj_setState(model, data, state["physics"], INTEGRATION)
+    mujoco.mj_forward(model, data)
+    # Forward dynamics moved the solver's warm start.
+    mujoco.mj_setState(model, data, state["physics"], INTEGRATION)
+    for name in DATA_FIELDS:
+        getattr(data, name)[...] = state[f"data/{name}"]
+
+
+def _is_classic(env: Env) -> bool:
+    return type(env.unwrapped).__module__.startswith(CLASSIC)
+
+
+def _classic_state(env: Env) -> dict[str, Array]:
+    inner: Any = env.unwrapped
+    values = np.asarray(inner.state)
+    # Some begin with float64 and go on with float32.
+    single = np.asarray(values.dtype == np.float32)
+    return {"classic/state": values.astype(np.float64), "classic/single": single}
+
+
+def _set_classic_state(env: Env, state: Mapping[str, Array]) -> None:
+    inner: Any = env.unwrapped
+    kind = np.float32 if state["classic/single"] else np.float64
+    inner.state = state["classic/state"].astype(kind)
+
+
 def _generators(env: Env) -> Any:
     return getattr(env.unwrapped, "np_random", None)
 
@@ -160,47 +289,23 @@ def _has_random_state(env: Env) -> bool:
     return isinstance(_generators(env), np.random.Generator | np.random.RandomState)
 
 
-def _random_state(env: Env) -> dict[str, Array]:
+def _random_state(env: Env) -> dict[str, Any]:
     random = _generators(env)
-    state = (
+    state: dict[str, Any] = (
         random.get_state(legacy=False)
         if isinstance(random, np.random.RandomState)
         else random.bit_generator.state
     )
-    return dict(_as_arrays(state, ""))
+    return state
 
 
-def _as_arrays(state: Mapping[str, Any], at: str) -> Iterator[tuple[str, Array]]:
-    for key, value in state.items():
-        if isinstance(value, Mapping):
-            yield from _as_arrays(value, f"{at}{key}.")
-        elif isinstance(value, np.ndarray):
-            yield f"{at}{key}", value.copy()
-        elif isinstance(value, int):
-            # PCG64 counts in 128 bits.
-            yield f"{at}{key}", np.frombuffer(value.to_bytes(16, "little"), np.uint8).copy()
-        elif isinstance(value, float):
-            yield f"{at}{key}", np.asarray(value)
-
-
-def _set_random_state(env: Env, saved: Mapping[str, Array]) -> None:
+def _set_random_state(env: Env, state: dict[str, Any]) -> None:
     random = _generators(env)
     if isinstance(random, np.random.RandomState):
-        random.set_state(_filled(random.get_state(legacy=False), saved, ""))
+        random.set_state(state)
     else:
-        random.bit_generator.state = _filled(random.bit_generator.state, saved, "")
+        random.bit_generator.state = state
 
 
-def _filled(state: Mapping[str, Any], saved: Mapping[str, Array], at: str) -> dict[str, Any]:
-    filled: dict[str, Any] = {}
-    for key, value in state.items():
-        if isinstance(value, Mapping):
-            filled[key] = _filled(value, saved, f"{at}{key}.")
-        elif isinstance(value, int):
-            filled[key] = int.from_bytes(saved[f"random/{at}{key}"].tobytes(), "little")
-        elif isinstance(value, np.ndarray | float):
-            array = saved[f"random/{at}{key}"]
-            filled[key] = array.copy() if isinstance(value, np.ndarray) else array.item()
-        else:
-            filled[key] = value
-    return filled
+def _under(prefix: str, state: Mapping[str, Array]) -> dict[str, Array]:
+    return {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}

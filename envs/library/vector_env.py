@@ -265,7 +265,8 @@ class VectorEnv(EnvBase):
             )
         self._seed = int(arrays["seed"])
         self._episodes = arrays["episodes"].copy()
-        if not self.resumes_midway:
+        # A run may have begun before its environment could be saved: its episodes begin anew.
+        if not self.resumes_midway or "returns" not in arrays:
             return
         self._returns = arrays["returns"].copy()
         self._succeeded = arrays["succeeded"].copy()

@@ -78,8 +78,9 @@ class CollectorState:
     """Frame counter, current observation and environment of a single-process collector.
 
     ``Collector.state_dict`` starts fresh episodes on load; here environments that keep their whole
-    state (the door does, and MuJoCo environments of others) go on in the middle of theirs.  Others
-    start fresh episodes: such a resumed run is valid but not bit-identical.
+    state (the door does, and those of others that ``envs/library/state.py`` can save) go on in the
+    middle of theirs.  Others start fresh episodes: such a resumed run is valid but not
+    bit-identical.
 
     Args:
         collector: TorchRL ``Collector`` over one batched environment.
@@ -102,9 +103,11 @@ class CollectorState:
         self.collector._frames = state["frames"]
         self.collector._iter = state["iter"]
         env, carrier = self.collector.env, self.collector._carrier
+        whole = _paths(env.state_dict()) <= _paths(state["env"])
         if _has_state(env):
             env.load_state_dict(state["env"])
-        if resumes_midway(env):
+        # What was saved before an environment could save its whole state says where no episode is.
+        if resumes_midway(env) and whole:
             saved = TensorDict(state["carrier"], carrier.batch_size, device=carrier.device)
             carrier.update(saved)
         else:
@@ -112,6 +115,15 @@ class CollectorState:
                 "this environment cannot be put back into the middle of an episode: the run goes "
                 "on with fresh episodes, and not bit for bit as it would have"
             )
+
+
+def _paths(state: Mapping[str, Any]) -> set[tuple[str, ...]]:
+    """Of everything in nested mappings."""
+    return {
+        (key, *path)
+        for key, value in state.items()
+        for path in (_paths(value) if isinstance(value, Mapping) else {()})
+    }
 
 
 class RandomState(GlobalRNGState):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import uuid
 from collections.abc import Mapping, Sequence
@@ -10,6 +11,7 @@ from typing import Any
 
 from pydantic.dataclasses import dataclass as settings
 from torchrl.record.loggers import Logger, get_logger
+from torchrl.record.loggers.mlflow import MLFlowLogger
 
 from pipeline.files.run_files import RunDirectoryError, write_atomically
 from pipeline.machine.extras import require_extras
@@ -17,7 +19,10 @@ from pipeline.settings import STRICT, Count
 
 KNOWN = ("csv", "tensorboard", "wandb", "mlflow")
 WANDB_ID = "wandb.id"
-"""Beside the logs: what wandb calls the run. A run that goes on must go on under it."""
+MLFLOW_ID = "mlflow.id"
+"""Beside the logs: what wandb or mlflow calls the run. A run that goes on must go on under it."""
+MLFLOW_URI = "MLFLOW_TRACKING_URI"
+"""Variable of the environment that names a server of mlflow's; without it, it is a local file."""
 
 
 @settings(frozen=True, kw_only=True, config=STRICT)
@@ -107,19 +112,16 @@ def make_loggers(names: Sequence[str], run_dir: Path, project: str) -> LoggerGro
 
     Raises:
         ValueError, MissingExtraError: As :func:`require_loggers`.
-        RunDirectoryError: If the run's name on wandb is damaged.
+        RunDirectoryError: If the run's name on wandb or mlflow is damaged, or mlflow does not know
+            it.
     """
     require_loggers(names)
     log_dir = run_dir / "logs"
     wandb = {"project": project, "id": _wandb_id(log_dir)} if "wandb" in names else {}
     loggers = {
-        name: get_logger(
-            name,
-            str(log_dir),
-            f"{name}",
-            wandb_kwargs=wandb,
-            mlflow_kwargs={"tracking_uri": (log_dir / "mlflow").absolute().as_uri()},
-        )
+        name: _mlflow(log_dir.absolute(), project)
+        if name == "mlflow"
+        else get_logger(name, str(log_dir), name, wandb_kwargs=wandb)
         for name in names
     }
     if "csv" in loggers:
@@ -145,10 +147,75 @@ def _wandb_id(log_dir: Path) -> str:
     if not path.exists():
         log_dir.mkdir(parents=True, exist_ok=True)
         write_atomically(path, uuid.uuid4().hex)
+    return _kept_id(path)
+
+
+def _kept_id(path: Path) -> str:
     name = path.read_text(errors="replace")
     if re.fullmatch(r"[0-9a-f]{32}", name) is None:
         raise RunDirectoryError(
-            f"{path} is damaged: restore it, or remove it and log to another run of wandb's with "
-            "RUN=<new directory>."
+            f"{path} is damaged: restore it, or remove it and log to another run of "
+            f"{path.stem}'s with RUN=<new directory>."
         )
     return name
+
+
+def _mlflow(log_dir: Path, project: str) -> ResumedMLFlow:
+    path = log_dir / MLFLOW_ID
+    run_id = _kept_id(path) if path.exists() else None
+    server = os.environ.get(MLFLOW_URI)
+    local = log_dir / "mlflow"
+    local.mkdir(parents=True, exist_ok=True)
+    logger = ResumedMLFlow(
+        project,
+        # Not a folder of files, which mlflow has given up (3.10).
+        server or f"sqlite:///{local / 'mlflow.db'}",
+        run_id,
+        artifact_location=None if server else local.as_uri(),
+    )
+    if run_id is None:
+        write_atomically(path, logger.experiment.info.run_id)
+    return logger
+
+
+class ResumedMLFlow(MLFlowLogger):
+    """TorchRL's logger, which by itself begins another run each time.
+
+    Args:
+        project: Experiment of mlflow's in which a new run begins.
+        tracking_uri: Where mlflow keeps it.
+        run_id: Of the run that goes on; None begins one.
+        artifact_location: Of a new experiment; None is the server's.
+
+    Raises:
+        RunDirectoryError: If mlflow cannot go on with the run.
+    """
+
+    def __init__(
+        self,
+        project: str,
+        tracking_uri: str,
+        run_id: str | None,
+        *,
+        artifact_location: str | None,
+    ) -> None:
+        self._run_id = run_id
+        super().__init__(project, tracking_uri, artifact_location=artifact_location)
+
+    def _create_experiment(self) -> Any:
+        import mlflow  # noqa: PLC0415 - an optional dependency
+
+        mlflow.end_run()  # of the job before, in a sweep; it does nothing where there is none
+        if self._run_id is None:
+            return super()._create_experiment()
+        try:
+            run = mlflow.start_run(run_id=self._run_id)
+        # Its own exceptions, and those of databases and servers.
+        except Exception as error:
+            told = " ".join(f"{type(error).__name__}: {error}".split())
+            raise RunDirectoryError(
+                f"mlflow cannot go on with run {self._run_id} at {self.log_dir} ({told}); is "
+                f"{MLFLOW_URI} as it was? Without mlflow: logging.loggers=[csv,tensorboard]."
+            ) from error
+        self.id = run.info.experiment_id
+        return run

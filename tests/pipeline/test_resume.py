@@ -12,6 +12,7 @@ from torchrl.checkpoint import Checkpoint
 from torchrl.data import TensorDictReplayBuffer
 
 from envs.door.definition import TASK
+from envs.library.vector_env import VectorEnv
 from pipeline.commands.evaluate_run import evaluate_run
 from pipeline.data.buffers import make_buffer
 from pipeline.files.checkpoint import latest_checkpoint, load_component, make_checkpoint
@@ -208,8 +209,14 @@ def test_an_offline_run_resumes(tmp_path: Path, demos: Path):
     assert differences(halved.actor.state_dict(), whole.actor.state_dict()) == []
 
 
+SPACES = "task.name='gymnasium:tests.envs.library.toys:Toys/Spaces-v0'"
+"""An environment whose state cannot be saved."""
+DRIFTS = "task.name='gymnasium:tests.envs.library.toys:Toys/Drifts-v0'"
+"""One that offers it itself."""
+
+
 def test_a_task_that_cannot_be_restored_starts_fresh_episodes(tmp_path: Path, demos: Path):
-    options = ["task.name='gymnasium:Pendulum-v1'", "collector.total_frames=80"]
+    options = [SPACES, "collector.total_frames=80"]
     config = tiny_config("sac", tmp_path, demos, *options)
     run = built(config)
     run.trainer.total_frames = 40
@@ -225,7 +232,7 @@ def test_an_environment_without_a_state_starts_fresh_episodes(tmp_path: Path, de
         "sac",
         tmp_path,
         demos,
-        "task.name='gymnasium:Pendulum-v1'",
+        SPACES,
         "env.horizon=15",
         "actor.normalise_observations=false",
         "growth.admission.min_return=0.0",
@@ -243,6 +250,52 @@ def test_an_environment_without_a_state_starts_fresh_episodes(tmp_path: Path, de
     # Episodes of 15 steps that begin with the batch: none ends within its ten, one within 20.
     assert not batch["next", "done"].any()
     assert next(iter(collector))["next", "done"].any()
+
+
+def test_an_environment_that_offers_its_state_goes_on_bit_for_bit(tmp_path: Path, demos: Path):
+    def trained(folder: str, stop_at: int | None) -> Run:
+        # 40 frames are 20 steps of each copy: in the middle of a second episode.
+        options = (DRIFTS, "collector.total_frames=60", "env.horizon=15")
+        config = tiny_config("sac", tmp_path / folder, demos, *options)
+        run = built(config)
+        if stop_at is not None:
+            run.trainer.total_frames = stop_at
+            run.train()
+            torch.manual_seed(4321)
+            run = built(config, resume=True)
+        run.train()
+        return run
+
+    whole, halved = trained("whole", None), trained("halved", 40)
+    assert differences(buffer_of(halved), buffer_of(whole)) == []
+    assert differences(halved.actor.state_dict(), whole.actor.state_dict()) == []
+
+
+def buffer_of(run: Run) -> dict:
+    return run.trainer._modules["main_buffer"][:].to_dict()
+
+
+def test_a_run_that_was_saved_without_its_environment_s_state_goes_on(
+    tmp_path: Path, demos: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """As Pendulum's were before it could be saved."""
+    config = tiny_config("sac", tmp_path, demos, DRIFTS, "collector.total_frames=60")
+    whole = VectorEnv.get_extra_state
+    with monkeypatch.context() as before:
+        before.setattr(
+            VectorEnv,
+            "get_extra_state",
+            lambda env: {key: whole(env)[key] for key in ("seed", "episodes")},
+        )
+        run = built(config)
+        run.trainer.total_frames = 40
+        run.train()
+    again = built(config, resume=True)
+    collector = again.trainer.collector
+    shown = collector.env.copies.buffers.observation
+    assert collector._carrier["observation"].tolist() == shown.tolist()
+    again.train()
+    assert again.trainer.collected_frames == 60
 
 
 def test_an_evaluation_says_how_far_the_run_really_got(stopped: Path):

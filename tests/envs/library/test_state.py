@@ -12,8 +12,11 @@ import torch
 from envs import EnvOptions, find_task
 from envs.demonstrations.episode import Episode, Provenance
 from envs.library.state import continues_exactly
+from envs.options import TaskOptions
+from envs.task import TaskFailedError
 from pipeline.files.checkpoint import resumes_midway
 from tests.envs.library.making import make
+from tests.envs.library.toys import HERE
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*settotalmass")
 DOOR = "gymnasium:gymnasium_robotics:AdroitHandDoor-v1"
@@ -33,7 +36,13 @@ def play(env, td, actions):
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-@pytest.mark.parametrize("name", ["gymnasium:HalfCheetah-v5", DOOR, "dm_control:reacher/easy"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("gymnasium:HalfCheetah-v5", DOOR, "dm_control:reacher/easy"),
+        *("gymnasium:Pendulum-v1", "gymnasium:MountainCarContinuous-v0", f"{HERE}/Drifts-v0"),
+    ],
+)
 def test_a_resumed_run_is_the_uninterrupted_one(name, workers):
     """20 steps before, and 25 after, in which episodes of 30 steps end and others begin."""
     env = opened(name)
@@ -71,7 +80,60 @@ class Forgetful(gymnasium.Wrapper):
 def test_what_keeps_more_than_its_simulation_is_not_trusted():
     assert continues_exactly(gymnasium.make("Hopper-v5"))
     assert not continues_exactly(Forgetful(gymnasium.make("Hopper-v5")))
-    assert not continues_exactly(gymnasium.make("Pendulum-v1"))
+    assert not continues_exactly(Forgetful(gymnasium.make("Pendulum-v1")))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["CartPole-v1", "Pendulum-v1", "MountainCar-v0", "MountainCarContinuous-v0", "Acrobot-v1"],
+)
+def test_classic_control_of_gymnasium_goes_on(name):
+    assert continues_exactly(gymnasium.make(name))
+
+
+class Remembering(Forgetful):
+    """The same, and can tell it."""
+
+    def get_state(self):
+        return self.count
+
+    def set_state(self, state):
+        self.count = state
+
+
+@pytest.mark.parametrize("name", ["Hopper-v5", "Pendulum-v1", "Toys/Drifts-v0"])
+def test_a_wrapper_that_tells_what_it_keeps_is_trusted(name):
+    assert continues_exactly(Remembering(gymnasium.make(name)))
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "why"),
+    [
+        ({"leaves_out": "hits"}, "an episode does not go on from them as it did"),
+        ({"leaves_out": "own"}, "an episode does not go on from them as it did"),
+        ({"leaves_out": "body"}, r"set_state() failed (KeyError: 'body')"),
+        ({"holds": None}, r"get_state() failed (TypeError: holds is NoneType; a state is of arr"),
+        ({"holds": np.array([{}])}, r"get_state() failed (TypeError: holds is an array of object"),
+    ],
+)
+def test_what_an_environment_tells_of_its_state_is_tried(kwargs, why, caplog):
+    with caplog.at_level(logging.WARNING, "envs.library"):
+        env = make("Drifts", TaskOptions(kwargs=kwargs))
+    assert not resumes_midway(env)
+    assert f"Drifts-v0 offers get_state() and set_state(state), but {why}" in caplog.text
+
+
+def test_a_state_that_no_longer_fits_is_told_with_its_copy():
+    env = make("Drifts", num_envs=2)
+    env.reset()
+    env.copies.envs[1].unwrapped.holds = np.zeros(3)
+    with pytest.raises(TaskFailedError, match=r"^task .*Drifts-v0: copy 1: .* gave 'holds' in an"):
+        env.get_extra_state()
+    env.copies.envs[1].unwrapped.holds = 0
+    saved = env.get_extra_state()
+    env.copies.envs[1].unwrapped.leaves_out = "holds"
+    with pytest.raises(TaskFailedError, match=r"copy 1: .* gives 'holds' at some times only"):
+        env.set_extra_state(saved)
 
 
 def test_others_count_their_episodes_on():

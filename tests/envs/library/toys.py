@@ -150,6 +150,61 @@ class EndsItself(gymnasium.Env):
         return np.full(1, self.t), 0.0, False, ended, info
 
 
+class Drifts(gymnasium.Env):
+    """Drifts at random between two walls; it keeps all that it is in Python, and can tell it.
+
+    Args:
+        leaves_out: an entry that its ``get_state`` does not tell, of those that ``set_state`` has.
+        holds: another entry that it tells.
+    """
+
+    observation_space = spaces.Box(-np.inf, np.inf, (2,), np.float64)
+    action_space = BOX
+
+    def __init__(self, leaves_out: str = "", holds: Any = 0) -> None:
+        self.leaves_out, self.holds = leaves_out, holds
+        self.own = np.random.default_rng(0)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
+        super().reset(seed=seed)
+        if seed is not None:
+            self.own = np.random.default_rng(seed)
+        self.place = self.np_random.normal(size=2)
+        self.speed, self.wall, self.told, self.hits = -0.5, "left", False, -1
+        return self.place.copy(), {}
+
+    def step(self, action: Any) -> Any:
+        drawn = self.np_random.normal() + self.own.normal()
+        self.speed += 0.1 * drawn
+        self.place = self.place + self.speed * np.asarray(action)
+        if self.told:
+            self.hits -= 1
+        self.told = bool(self.place[0] > 0)
+        self.wall = "right" if self.told else "left"
+        paid = self.hits + self.speed + len(self.wall)
+        return self.place.copy(), paid, False, False, {"is_success": self.told}
+
+    def get_state(self) -> Any:
+        state = {
+            "place": self.place,
+            "body": {"speed": self.speed, "wall": self.wall},
+            "told": self.told,
+            "hits": self.hits,
+            "own": self.own.bit_generator.state,
+            "holds": self.holds,
+        }
+        state.pop(self.leaves_out, None)
+        return state
+
+    def set_state(self, state: Any) -> None:
+        for key in {"place", "told", "hits"} & state.keys():
+            assert type(state[key]) is type(getattr(self, key))
+            setattr(self, key, state[key])
+        self.speed, self.wall = state["body"]["speed"], state["body"]["wall"]
+        if "own" in state:
+            self.own.bit_generator.state = state["own"]
+
+
 class InnerLimit(ClockToy):
     """Its own time limit cannot be seen from outside of the environment's own wrapper."""
 
@@ -177,6 +232,7 @@ gymnasium.register("Toys/Spaces-v0", SpacesToy, max_episode_steps=5)
 gymnasium.register("Toys/Clock-v0", ClockToy, max_episode_steps=30)
 gymnasium.register("Toys/Endless-v0", ClockToy)
 gymnasium.register("Toys/Inner-v0", limited)
+gymnasium.register("Toys/Drifts-v0", Drifts, max_episode_steps=100)
 gymnasium.register("Toys/EndsItself-v0", EndsItself)
 gymnasium.register("Toys/EndsLater-v0", EndsItself, max_episode_steps=40)
 gymnasium.register("Toys/Otherwise-v0", Otherwise, max_episode_steps=30)
