@@ -46,6 +46,8 @@ class _Strategies(_Object):
     sensitivity: dict[str, dict[str, Numbers]]
     progress_at_last_contact: Spread | None = None
     travel_untouched_mean: float | None = None
+    kept_at_end: dict[str, float | None] | None = None
+    lost_at_end: Share | None = None
 
 
 class _Versions(_Object):
