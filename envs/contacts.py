@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 FORCES: Final = "contact_forces"
 """Column of an environment that records contacts: normal forces [N, P * K], N, by hand part and
 target, in the order of `Contacts`."""
@@ -40,3 +43,19 @@ class Contacts:
         strangers = {*self.held} - {*self.targets} or {self.thumb} - {*self.parts}
         if strangers:
             raise ValueError(f"{sorted(strangers)} is held or opposes, and cannot be touched")
+
+    def touching(self, forces: NDArray[np.floating], above: float) -> str:
+        """What touches what, for people: ``palm, thumb: handle; first: panel``.
+
+        Args:
+            forces: Normal forces [P * K], N, as in `FORCES`.
+            above: Force from which on a part touches, N.
+        """
+        touched = np.reshape(forces, (len(self.parts), len(self.targets))) > above
+        by_parts: dict[str, list[str]] = {}
+        for target, on_target in zip(self.targets, touched.T, strict=True):
+            parts = ", ".join(part for part, on in zip(self.parts, on_target, strict=True) if on)
+            by_parts.setdefault(parts, []).append(target)
+        by_parts.pop("", None)
+        told = [f"{parts}: {', '.join(targets)}" for parts, targets in by_parts.items()]
+        return "; ".join(told) or "no contact"

@@ -115,8 +115,8 @@ class Render:
             there, as a reset does. None: recordings cannot be filmed. Raises ValueError if the
             episode does not say where it begins.
         window: opens a window; None: it cannot be watched live.
-        notes: lines to stand in the picture, from what the environment tells with an observation
-            (contacts, where it records them); None: nothing.
+        notes: lines of the task's own to stand in the picture, from what the environment tells with
+            an observation; None: nothing. What touches what is there without it (`Task.contacts`).
     """
 
     open: Callable[[EnvBase, Picture], AbstractContextManager[Renderer]]

@@ -15,6 +15,10 @@ elsewhere the hand on other targets alone for `Thresholds.elsewhere` of the trav
 grasp     an opposed grasp for `Thresholds.grasp` of the travel or more
 held      what is left: led, and less opposed
 ======== ======================================================================================
+
+A class says nothing of what comes after the first success. Beside them stands which episodes are
+still a success after their last step, and how many were one and are none then (`lost`): a door that
+passed 1.35 rad and fell shut.
 """
 
 from __future__ import annotations
@@ -78,6 +82,8 @@ class Strategies:
         last_contact: progress when what is held was last touched, up to the end of the travel, [E];
             NaN where it never was.
         untouched: share of the travel without any contact, [E]; NaN where nothing was moved.
+        kept: whether it is a success after its last step, [E].
+        lost: whether it was a success before and is none after its last step, [E].
         by_part: share of the normal force on what is held that each part exerts, [P].
         sensitivity: shares of the classes by threshold and its value.
     """
@@ -85,6 +91,8 @@ class Strategies:
     names: list[str]
     last_contact: NDArray[np.float64]
     untouched: NDArray[np.float64]
+    kept: Bools
+    lost: Bools
     by_part: Mapping[str, float]
     thresholds: Thresholds
     sensitivity: Mapping[str, Mapping[str, Mapping[str, float]]]
@@ -96,6 +104,9 @@ class Strategies:
             "shares_ci95": {
                 name: list(wilson([name == found for found in self.names])) for name in STRATEGIES
             },
+            "kept_at_end": {name: self._kept_of(name) for name in STRATEGIES},
+            "lost_at_end": float(self.lost.mean()),
+            "lost_at_end_ci95": list(wilson(self.lost.tolist())),
             "words": dict(contacts.words),
             "progress_at_last_contact": _quantiles(self.last_contact),
             "travel_untouched": _quantiles(self.untouched),
@@ -104,6 +115,11 @@ class Strategies:
             "thresholds": asdict(self.thresholds),
             "sensitivity": self.sensitivity,
         }
+
+    def _kept_of(self, name: str) -> float | None:
+        """Share of the episodes of a class that are a success at their end; None without any."""
+        of_class = self.kept[[found == name for found in self.names]]
+        return float(of_class.mean()) if of_class.size else None
 
     def columns(self) -> dict[str, list[Any]]:
         """For ``episodes.csv``."""
@@ -149,10 +165,14 @@ def told(
     held = [contacts.targets.index(name) for name in contacts.held]
     by_part = forces[..., held].sum(axis=(0, 1, 3), dtype=np.float64)
     whole = by_part.sum() or 1.0
+    last = np.isfinite(progress).sum(axis=1) - 1
+    kept = np.array([bool(success[i, last[i]]) for i in episodes])
     return Strategies(
         names=[t.name for t in found],
         last_contact=np.array([t.last_contact for t in found]),
         untouched=np.array([t.untouched for t in found]),
+        kept=kept,
+        lost=success.any(axis=1) & ~kept,
         by_part=dict(zip(contacts.parts, (by_part / whole).tolist(), strict=True)),
         thresholds=thresholds,
         sensitivity=others,

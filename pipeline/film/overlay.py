@@ -57,14 +57,16 @@ def annotated(moment: Moment, title: str, scale: Scale, size: tuple[int, int]) -
     fitted = fit(moment.picture, size)
     width, height = size
     em = max(11, round(height / 34))
+    left = em // 2
     lines = _lines(moment, scale)
+    for note in moment.notes:  # of any length, where the others are short
+        lines += wrapped(note, em, width - 2 * left)
     bar = moment.progress is not None and scale.full is not None
     top, bottom = round(1.7 * em), round(em * (1.35 * len(lines) + 0.5 + 0.6 * bar))
     fitted[:top] = fitted[:top] * SHADE
     fitted[height - bottom :] = fitted[height - bottom :] * SHADE
     image = Image.fromarray(fitted)
     draw = ImageDraw.Draw(image)
-    left = em // 2
     draw.text((left, em // 4), title, font=font(em), fill=WHITE)
     if moment.success:
         draw.text((width - left, em // 4), "success", font=font(em), fill=GREEN, anchor="ra")
@@ -116,8 +118,20 @@ def _lines(moment: Moment, scale: Scale) -> list[str]:
         further.append(f"progress {moment.progress:.2f} {scale.unit}".rstrip())
     if moment.stage:
         further.append(f"stage: {moment.stage}")
-    lines = ["   ".join(told), "   ".join(further), *moment.notes]
+    lines = ["   ".join(told), "   ".join(further)]
     return [line for line in lines if line]
+
+
+def wrapped(line: str, size: int, width: int) -> list[str]:
+    """The line in parts of at most ``width`` px, broken between words; wider words stand alone."""
+    parts: list[str] = []
+    for word in line.split(" "):
+        longer = f"{parts[-1]} {word}" if parts else word
+        if parts and font(size).getlength(longer) > width:
+            parts.append(word)
+        else:
+            parts[-1:] = [longer]
+    return [part.strip() for part in parts]
 
 
 @cache

@@ -12,8 +12,10 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from envs import Task
+from envs.contacts import FORCES
 from envs.pictures import Render, Renderer
 from envs.task import PROGRESS, SUCCESS
+from pipeline.act.strategies import DEFAULT
 from pipeline.non_finite import require_finite_step
 
 
@@ -30,7 +32,7 @@ class Moment:
         progress: in the task's unit; None where it tells none.
         success: whether the task is accomplished now; None likewise.
         stage: the last of the task's stages that the episode has ever reached; empty before.
-        notes: further lines, of the task's own.
+        notes: further lines: what touches what, where the task records contacts, and its own.
     """
 
     picture: NDArray[Any]
@@ -113,8 +115,17 @@ class Studio:
             progress=None if progress is None else float(progress),
             success=None if success is None else bool(success),
             stage=self.task.stages[passed - 1].label if passed else "",
-            notes=() if render.notes is None else tuple(render.notes(td)),
+            notes=(
+                *self._contacts(td),
+                *(() if render.notes is None else render.notes(td)),
+            ),
         )
+
+    def _contacts(self, td: TensorDictBase) -> Iterator[str]:
+        """A line with what touches what now; none where the environment does not record it."""
+        contacts, forces = self.task.contacts, td.get(FORCES, None)
+        if contacts is not None and forces is not None:
+            yield contacts.touching(forces[0].cpu().numpy(), DEFAULT.force)
 
 
 def stride(render: Render, pictures_per_second: float) -> int:

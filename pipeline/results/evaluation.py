@@ -75,6 +75,8 @@ class Strategies(_Object):
     sensitivity: dict[str, dict[str, Numbers]]
     progress_at_last_contact: Spread | None = None
     travel_untouched_mean: float | None = None
+    kept_at_end: dict[str, float | None] | None = None
+    lost_at_end: Share | None = None
 
 
 class Versions(_Object):

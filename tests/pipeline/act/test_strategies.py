@@ -95,6 +95,24 @@ def test_what_a_closed_door_gives_is_no_travel():
     assert found.untouched == pytest.approx([0.0])
 
 
+def test_an_episode_that_succeeded_and_did_not_stay_so_is_lost_whatever_its_class():
+    shut = np.array([0.0, 0.1, 0.8, 1.5, 1.55, 1.3, 0.9, 0.3, np.nan, np.nan])
+    open_ = np.array([0.0, 0.1, 0.8, 1.5, 1.3, 1.3, 1.45, 1.5, np.nan, np.nan])
+    progress = np.stack([shut, open_, OPENING / 2])
+    forces, opposition = np.zeros((3, 10, 3, 2), np.float32), np.zeros((3, 10), np.float32)
+    forces[:, :, PALM, HANDLE] = 1.0
+    with np.errstate(invalid="ignore"):
+        found = told(CONTACTS, forces, opposition, progress, progress > 1.4, EXACT)
+    assert found.names == ["held", "held", "short"]
+    figures = found.figures(CONTACTS)
+    assert figures["kept_at_end"] == {
+        **dict.fromkeys(STRATEGIES), "held": 0.5, "short": 0.0,
+    }  # fmt: skip
+    assert figures["lost_at_end"] == pytest.approx(1 / 3)
+    # Wilson's interval of 1 of 3.
+    assert figures["lost_at_end_ci95"] == pytest.approx([0.0615, 0.7923], abs=1e-3)
+
+
 def test_what_happens_behind_the_success_does_not_count():
     progress = np.array([0.0, 0.1, 0.8, 1.5, 1.55, 1.56, 1.57, 1.57, np.nan, np.nan])
     with np.errstate(invalid="ignore"):
@@ -120,6 +138,8 @@ def test_figures_and_columns():
         names=[*whole.names, *flung.names],
         last_contact=np.concatenate([whole.last_contact, flung.last_contact]),
         untouched=np.concatenate([whole.untouched, flung.untouched]),
+        kept=np.concatenate([whole.kept, flung.kept]),
+        lost=np.concatenate([whole.lost, flung.lost]),
     )
     figures = both.figures(CONTACTS)
     assert figures["shares"]["grasp"] == figures["shares"]["flung"] == 0.5

@@ -22,6 +22,7 @@ from pipeline.commands import film
 from pipeline.film import performers
 from pipeline.film.choice import Choice
 from pipeline.film.performers import Run
+from pipeline.film.takes import Moment
 from pipeline.policy import load_policy
 from pipeline.run_dir import load_recipe, save_recipe
 from tests.pipeline.toys import built, tiny_config
@@ -180,3 +181,15 @@ def test_the_demonstration_that_begins_nearest_is_chosen(changed: str):
 def test_what_cannot_be_is_said_before_a_run_is_read(tmp_path: Path):
     with pytest.raises(ValueError, match=r"OUT=.*film\.avi: a film is \.mp4 or \.gif"):
         film.film(tmp_path / "nowhere", tmp_path / "film.avi")
+
+
+def test_a_film_of_a_hand_says_what_it_touches(trained: Path, no_screen: list[float], monkeypatch):
+    notes: list[tuple[str, ...]] = []
+
+    def noted(moment: Moment, *_: object) -> np.ndarray:
+        notes.append(moment.notes)
+        return moment.picture
+
+    monkeypatch.setattr(film, "annotated", noted)
+    filmed(trained, Choice(1))
+    assert notes == [("no contact",)] * PICTURES  # in ten steps the hand gets nowhere

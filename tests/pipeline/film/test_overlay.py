@@ -5,7 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.film.overlay import BLUE, GREEN, GREY, Scale, annotated, fit
+from envs.adroit.contacts import PARTS
+from envs.door.contacts import CONTACTS
+from pipeline.film.overlay import BLUE, GREEN, GREY, Scale, annotated, fit, font, wrapped
 from pipeline.film.takes import Moment
 
 SIZE = (160, 120)
@@ -61,6 +63,27 @@ def test_further_lines_take_room_of_their_own():
     with_ = annotated(moment(notes=("thumb 3 N",)), "a", Scale(), SIZE)
     darkened = [int((p[:, 80] < 200).all(axis=-1).sum()) for p in (without, with_)]
     assert darkened[1] > darkened[0] + 10
+
+
+@pytest.mark.parametrize("size", [480, 240])
+def test_contacts_of_all_parts_fit_into_the_picture(size: int):
+    everything = "; ".join(f"{', '.join(PARTS)}: {target}" for target in CONTACTS.targets)
+    picture = np.full((size, size, 3), 200, dtype=np.uint8)
+    shown = annotated(
+        moment(picture=picture, notes=(everything,)), "a", Scale("rad", 2.0), (size,) * 2
+    )
+    # Nothing is written beside the margins of half a letter, and below the title there is picture.
+    edges = np.concatenate([shown[:, :4], shown[:, -4:]], axis=1).astype(int)
+    assert set(np.unique(edges)) == {70, 200}
+    em = max(11, round(size / 34))
+    parts = wrapped(everything, em, size - 2 * (em // 2))
+    assert " ".join(parts) == everything
+    assert all(font(em).getlength(part) <= size - 2 * (em // 2) for part in parts)
+
+
+def test_a_line_that_fits_and_a_word_that_does_not_stay_whole():
+    assert wrapped("a   b", 14, 100) == ["a   b"]
+    assert wrapped("a " + "b" * 50, 14, 100) == ["a", "b" * 50]
 
 
 @given(progress=NUMBERS, empty=NUMBERS, full=NUMBERS)

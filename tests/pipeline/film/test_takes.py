@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from envs import EnvOptions, Stage, Task, find_task
+from envs.contacts import FORCES, Contacts
 from envs.pictures import Render
-from pipeline.film.takes import Studio, stride
+from pipeline.film.takes import Moment, Studio, stride
 
 STEPS = 7
 
@@ -82,3 +83,31 @@ def test_what_a_task_does_not_tell_is_not_shown(pendulum: Task):
 @pytest.mark.parametrize(("rate", "every"), [(100.0, 2), (50.0, 1), (20.0, 1), (500.0, 10)])
 def test_films_run_in_real_time(rate: float, every: int):
     assert stride(Render(None, rate), 50.0) == every  # type: ignore[arg-type]
+
+
+# ------------------------------------------------------------------------------------- contacts
+
+
+def test_contacts_are_told_by_what_is_touched():
+    contacts = Contacts(
+        ("palm", "thumb", "first"), "thumb", ("handle", "panel"), ("handle",), 0, 0, {}
+    )
+    forces = np.array([[1.0, 0.0], [0.2, 0.01], [0.0, 3.0]])
+    assert contacts.touching(forces.reshape(-1), 0.05) == "palm, thumb: handle; first: panel"
+    # Parts that touch the same are named once, and what only grazes is left out.
+    assert contacts.touching(np.array([0, 0, 2.0, 2.0, 0, 0.01]), 0.05) == "thumb: handle, panel"
+    assert contacts.touching(np.zeros(6), 0.05) == "no contact"
+
+
+def test_a_film_tells_the_contacts_of_the_moment_and_a_task_without_them_none(pendulum: Task):
+    contacts = Contacts(("palm",), "palm", ("rod",), ("rod",), 0.0, 0.0, {})
+    task = replace(pendulum, contacts=contacts)
+
+    def moments(force: float) -> Moment:
+        studio = Studio(task, task.make_env(EnvOptions(horizon=STEPS, seed=0)), Numbered(), 1)
+        begun = studio.env.reset().set(FORCES, torch.tensor([[force]]))
+        return next(iter(studio.play(begun, lambda td: td)))
+
+    assert moments(1.0).notes == ("palm: rod", "1 copy")
+    assert moments(0.01).notes == ("no contact", "1 copy")
+    assert played(task, 3)[0].notes == ("1 copy",)  # its environment records none
