@@ -20,7 +20,7 @@ from tensordict import TensorDict
 from losses import BCSACLoss
 from pipeline.learn.critics import BatchedCritics
 from pipeline.learn.networks import make_actor
-from pipeline.learn.stepper import BCSACStepper, StepRhythm
+from pipeline.learn.stepper import BCSACStepper, UpdateSchedule
 
 OBSERVATION, ACTION = 38, 28
 """Of the door."""
@@ -57,7 +57,7 @@ def stepper_of(width: int, rows: int, *, compiled: bool, guarded: bool) -> BCSAC
         actor_lr=3e-5,
         critic_lr=3e-4,
         temperature_lr=3e-4,
-        rhythm=StepRhythm(target_period=1),
+        schedule=UpdateSchedule(target_period=1),
         compile_updates=compiled,
         guarded=guarded,
     )

@@ -13,7 +13,7 @@ from torchrl.modules import ProbabilisticActor
 
 from envs import Task
 from pipeline import components
-from pipeline.act.shaped import core_of, shaped
+from pipeline.act.policy_wrappers import acting_policy, unwrapped
 from pipeline.compute import hidden_dtype, replays_updates
 from pipeline.data.buffers import DemonstrationDistribution, make_core_buffer
 from pipeline.data.demonstrations import Demonstrations
@@ -26,7 +26,7 @@ from pipeline.files.checkpoint import (
 )
 from pipeline.files.curves import cut_back
 from pipeline.files.run_format import latest_of
-from pipeline.files.simulator_steps import StepsBeside
+from pipeline.files.simulator_steps import ExtraSimulatorSteps
 from pipeline.files.sums import DamagedError
 from pipeline.files.time_use import TimeUse
 from pipeline.hooks import UpdatesHook
@@ -58,7 +58,7 @@ def build_offline(
     updates = actor_updates(recipe)
     actions = chunk * env.action_spec.shape[-1]
     loss = components.make_loss(recipe.loss, actor, critic, actions, updates)
-    policy = shaped(actor, chunk)
+    policy = acting_policy(actor, chunk)
     env.close()
     core = DemonstrationDistribution(make_core_buffer(demos.rows, recipe.device))
     mixture = Mixture(
@@ -91,7 +91,7 @@ def build_offline(
     )
     optimisation = UpdatesHook(mixture, time_use.timed(mixture, "sample"), stop)
     optimisation.register(trainer)
-    beside = StepsBeside(demos.simulator_steps)
+    beside = ExtraSimulatorSteps(demos.simulator_steps)
     beside.write(run_dir)
     taken = {"simulator_steps": beside.total}
     evaluation = make_evaluation_hook(recipe, task, stop, policy, run_dir, time_use, lambda: taken)
@@ -154,7 +154,7 @@ def behaviour_cloned(
                 load_trainer(checkpoint, run.trainer)
             cut_back(run_dir, run.trainer.collected_frames if checkpoint is not None else -1)
             run.train()
-    actor = core_of(run.actor)
+    actor = unwrapped(run.actor)
     assert isinstance(actor, ProbabilisticActor)
     return actor
 

@@ -23,7 +23,7 @@ from pipeline.learn.critics import BatchedCritics
 from pipeline.learn.networks import ActorSettings, CriticSettings, ObservationNormalizer, make_actor
 from pipeline.learn.objective import LossSettings
 from pipeline.learn.own_terms import own_terms
-from pipeline.learn.stepper import BCSACStepper, StepRhythm
+from pipeline.learn.stepper import BCSACStepper, UpdateSchedule
 from pipeline.recipe import Recipe
 from pipeline.updates import actor_updates
 
@@ -225,7 +225,7 @@ def make_stepper(recipe: Recipe, loss: BCSACLoss) -> BCSACStepper:
         actor_lr=optim.actor_lr,
         critic_lr=optim.critic_lr,
         temperature_lr=optim.temperature_lr,
-        rhythm=StepRhythm(
+        schedule=UpdateSchedule(
             actor_period=optim.actor_period,
             target_period=optim.target_period,
             actor_delay=optim.actor_delay,

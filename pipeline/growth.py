@@ -5,12 +5,12 @@ from __future__ import annotations
 from torchrl.trainers import Trainer
 
 from envs import Task
+from pipeline.act.policy_wrappers import acting_policy
 from pipeline.act.rollouts import admit_rollouts
-from pipeline.act.shaped import shaped
 from pipeline.cloning import behaviour_cloned
+from pipeline.data.admission import AdmissionRule, EpisodeAdmission, MovingBound
 from pipeline.data.buffers import DemonstrationDistribution, GrownDemonstrations, make_core_buffer
 from pipeline.data.demonstrations import Demonstrations
-from pipeline.data.harvest import AdmissionRule, Harvest, MovingBound
 from pipeline.data.rows import TransitionRows
 from pipeline.files.time_use import TimeUse
 from pipeline.hooks import GrownHook
@@ -51,10 +51,10 @@ def demonstration_distribution(
         return None, DemonstrationDistribution(core)
     grown = GrownDemonstrations(growth.capacity, recipe.device)
     if growth.bc_model:
-        harvest = Harvest(grown, admission_rule(recipe), to_rows, source="bc_model")
+        admission = EpisodeAdmission(grown, admission_rule(recipe), to_rows, source="bc_model")
         admit_rollouts(
-            shaped(behaviour_cloned(recipe, task, demos, time_use), recipe.actor.chunk),
-            harvest,
+            acting_policy(behaviour_cloned(recipe, task, demos, time_use), recipe.actor.chunk),
+            admission,
             task=task,
             episodes=growth.bc_model_episodes,
             seed=recipe.seed,
@@ -68,10 +68,10 @@ def register_growth(
     grown: GrownDemonstrations | None,
     to_rows: TransitionRows,
     trainer: Trainer,
-) -> list[Harvest]:
+) -> list[EpisodeAdmission]:
     """Has ``trainer`` log and checkpoint what grows; returns what training episodes are offered to.
 
-    That is one harvest with self-imitation (SID), and none without.
+    That is one admission with self-imitation (SID), and none without.
     """
     if grown is None:
         return []
@@ -79,7 +79,7 @@ def register_growth(
     GrownHook(grown, bound).register(trainer)
     if not recipe.growth.self_imitation:
         return []
-    return [Harvest(grown, admission_rule(recipe), to_rows, "policy", bound)]
+    return [EpisodeAdmission(grown, admission_rule(recipe), to_rows, "policy", bound)]
 
 
 def admission_rule(recipe: Recipe) -> AdmissionRule:

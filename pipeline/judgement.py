@@ -50,7 +50,7 @@ def poor_clone(figures: Mapping[str, Any], shown: float | None, recipe: Recipe) 
     )
 
 
-def judge_clone(evaluation: EvaluationHook, recipe: Recipe, demos: Demonstrations | None) -> None:
+def check_clone(evaluation: EvaluationHook, recipe: Recipe, demos: Demonstrations | None) -> None:
     """Evaluates the clone, in the learning curve's row of 0 frames, and warns of a poor one.
 
     Nothing is evaluated where the run is not to be (``evaluation.interval=0``).

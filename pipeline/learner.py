@@ -14,7 +14,7 @@ from envs import Task
 from losses import BCSACLoss, Proposal
 from pipeline import components
 from pipeline.act.exploration import PartlyGreedyPolicy
-from pipeline.act.shaped import shaped
+from pipeline.act.policy_wrappers import acting_policy
 from pipeline.cloning import behaviour_cloned
 from pipeline.compute import hidden_dtype
 from pipeline.data.demonstrations import Demonstrations
@@ -57,17 +57,17 @@ class Learner:
 
     def policy(self) -> TensorDictModuleBase:
         """What is evaluated and kept."""
-        return self._shaped(self.judged)
+        return self._acting(self.judged)
 
     def explorer(self) -> TensorDictModuleBase:
         """What collects experience."""
         greedy = self.recipe.collector.greedy_envs
         if not greedy:
-            return self._shaped(self.actor)
-        return self._shaped(PartlyGreedyPolicy(self.actor, greedy, self.recipe.env.num_envs))
+            return self._acting(self.actor)
+        return self._acting(PartlyGreedyPolicy(self.actor, greedy, self.recipe.env.num_envs))
 
-    def _shaped(self, core: TensorDictModuleBase) -> TensorDictModuleBase:
-        return shaped(
+    def _acting(self, core: TensorDictModuleBase) -> TensorDictModuleBase:
+        return acting_policy(
             core,
             chunk=self.recipe.actor.chunk,
             proposal=self.proposal,

@@ -13,12 +13,12 @@ from torchrl.trainers import Trainer
 from envs import Task
 from envs.steps import counted_steps
 from pipeline import components
-from pipeline.act.begun import BEGUN_AT, BegunEnv
+from pipeline.act.chosen_starts import BEGUN_AT, ChosenStartsEnv
 from pipeline.data.curriculum import CurriculumEpisodes, ReverseCurriculum
 from pipeline.data.demonstrations import Demonstrations
 from pipeline.data.mixture import Mixture
 from pipeline.files.checkpoint import CollectorState, make_checkpoint, resumes_midway
-from pipeline.files.simulator_steps import StepsBeside
+from pipeline.files.simulator_steps import ExtraSimulatorSteps
 from pipeline.files.time_use import TimeUse
 from pipeline.growth import register_growth, require_growth
 from pipeline.hooks import (
@@ -28,7 +28,7 @@ from pipeline.hooks import (
     StoreHook,
     UpdatesHook,
 )
-from pipeline.judgement import judge_clone
+from pipeline.judgement import check_clone
 from pipeline.learner import Learner, make_learner
 from pipeline.machine.interruption import StopRequest
 from pipeline.machine.threads import OneThreadCollector
@@ -51,7 +51,7 @@ def build_online(
     learner = make_learner(recipe, task, env, demos, time_use)
     sources = make_sources(recipe, task, demos, time_use)
     demonstrated = 0 if demos is None else demos.simulator_steps
-    beside = StepsBeside(demonstrated + replayed.taken, sources.simulator_steps)
+    beside = ExtraSimulatorSteps(demonstrated + replayed.taken, sources.simulator_steps)
     beside.write(run_dir)
     policy = learner.policy()
     collector = _collector(recipe, env, learner, time_use)
@@ -76,7 +76,7 @@ def build_online(
         figures.append(DemonstrationProbe(learner.loss, demos.rows, demos.held_out))
     evaluation = make_evaluation_hook(recipe, task, stop, policy, run_dir, time_use, *figures)
     evaluation.register(trainer)
-    begin = partial(judge_clone, evaluation, recipe, demos) if recipe.pretrain else None
+    begin = partial(check_clone, evaluation, recipe, demos) if recipe.pretrain else None
     return Run(
         recipe, run_dir, trainer, policy, time_use, evaluation, optimisation, stop, begin=begin
     )
@@ -91,7 +91,7 @@ def _environment(
     begin = None if curriculum is None else curriculum.begin
     # An actor of chunks has to know when episodes begin.
     if begin is not None or recipe.actor.chunk > 1:
-        env = BegunEnv(env, begin)
+        env = ChosenStartsEnv(env, begin)
     return env, [] if curriculum is None else [curriculum]
 
 
@@ -139,9 +139,9 @@ def _register(
         hook.register(trainer)
     for one in curricula:
         one.register(trainer)
-    harvests = register_growth(recipe, sources.grown, sources.episode_rows, trainer)
+    admissions = register_growth(recipe, sources.grown, sources.episode_rows, trainer)
     begun = [CurriculumEpisodes(one, BEGUN_AT) for one in curricula]
-    episodes = EpisodeHook(*harvests, *backtracking, *begun, resumes_midway=midway, device=device)
+    episodes = EpisodeHook(*admissions, *backtracking, *begun, resumes_midway=midway, device=device)
     episodes.register(trainer)
     store = StoreHook(sources.main, sources.to_rows, resumes_midway=midway, device=device)
     time_use.watch(store, "store", "store")

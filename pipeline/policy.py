@@ -16,7 +16,7 @@ from torchrl.modules import ProbabilisticActor
 
 from envs import Task
 from pipeline import components
-from pipeline.act.shaped import shaped
+from pipeline.act.policy_wrappers import acting_policy
 from pipeline.compute import hidden_dtype
 from pipeline.files.checkpoint import (
     latest_checkpoint,
@@ -88,12 +88,12 @@ def _untrained(recipe: Recipe, env: EnvBase) -> TensorDictModuleBase:
         return components.make_policy(recipe.actor, env, own, device, dtype)
 
     if not recipe.proposal.acting:
-        return shaped(actor(), recipe.actor.chunk)
+        return acting_policy(actor(), recipe.actor.chunk)
     critic = components.make_critic(
         recipe.critic, env, normalizer(recipe.critic), device, dtype, recipe.actor.chunk
     )
     proposal = recipe.proposal.of(actor())
-    return shaped(actor(), recipe.actor.chunk, proposal, critic)
+    return acting_policy(actor(), recipe.actor.chunk, proposal, critic)
 
 
 def save_weights(actor: TensorDictModuleBase, path: Path, *, frames: int) -> None:

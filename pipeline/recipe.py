@@ -24,12 +24,12 @@ from envs.options import EnvOptions, TaskOptions
 from envs.registry import imports_of
 from envs.rewards import rewarded
 from pipeline.act.evaluation import EvaluationSettings
+from pipeline.act.policy_wrappers import ProposalSettings
 from pipeline.act.randomise import RandomiseSettings
-from pipeline.act.shaped import ProposalSettings
 from pipeline.budget import CollectorSettings
+from pipeline.data.admission import GrowthSettings
 from pipeline.data.curriculum import CurriculumSettings
 from pipeline.data.demonstrations import DemosSettings
-from pipeline.data.harvest import GrowthSettings
 from pipeline.data.mixture import SamplerSettings
 from pipeline.hooks.backtrack import BacktrackSettings
 from pipeline.learn.imitation import CloningSettings

@@ -17,10 +17,10 @@ from torchrl.trainers import Trainer
 
 from envs import Task
 from pipeline import components
+from pipeline.files.background import BackgroundWork
 from pipeline.files.curves import WALL_S
 from pipeline.files.rotation import make_rotation
 from pipeline.files.run_files import LEARNING_CURVE
-from pipeline.files.sealing import Sealing
 from pipeline.files.time_use import OTHER, TimeUse
 from pipeline.hooks import EvaluationHook, PortionGuard, ProgressHook, UpdatesHook
 from pipeline.machine.disk import with_room
@@ -52,7 +52,7 @@ class Run:
     """What a new run does before its first frame; one that is resumed has done it."""
 
     @property
-    def sealing(self) -> Sealing:
+    def sealing(self) -> BackgroundWork:
         """Of the checkpoint that was written last."""
         return self.trainer.checkpoint_rotation.sealing
 

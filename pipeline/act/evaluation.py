@@ -19,8 +19,8 @@ from envs import EnvOptions, Stage, Task
 from envs.task import PROGRESS, SUCCESS, has_column
 from pipeline.act.exploration import EpisodeNoise, require_noise_scale
 from pipeline.act.metrics import Rollouts, plain, summarise
+from pipeline.act.policy_wrappers import through, unwrapped
 from pipeline.act.recorder import SeesSteps
-from pipeline.act.shaped import core_of, through
 from pipeline.machine.random_state import kept_random_state
 from pipeline.machine.threads import one_torch_thread
 from pipeline.non_finite import require_finite_step
@@ -168,7 +168,7 @@ class Evaluator:
             policy.train(was_training)
 
     def _sampled(self, policy: TensorDictModuleBase) -> Acting:
-        noisy = EpisodeNoise(core_of(policy), self.seed, self.noise_scale)
+        noisy = EpisodeNoise(unwrapped(policy), self.seed, self.noise_scale)
         judged = through(policy, noisy)
 
         def begun(first: int, count: int) -> TensorDictModuleBase:

@@ -13,8 +13,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from envs import EnvOptions, Task
 from envs.steps import count_steps
 from pipeline.act.evaluation import reset_td
+from pipeline.data.admission import EpisodeAdmission
 from pipeline.data.episodes import EpisodeAssembler, FinishedEpisode
-from pipeline.data.harvest import Harvest
 from pipeline.machine.threads import one_torch_thread
 
 MAX_BATCH = 250  # episodes at a time
@@ -72,15 +72,17 @@ def rollout_episodes(policy: TensorDictModuleBase, **rollout: Any) -> list[Finis
     return [episode for wave in rollout_waves(lambda: policy, **rollout) for episode in wave]
 
 
-def admit_rollouts(policy: TensorDictModuleBase, harvest: Harvest, **rollout: Any) -> int:
-    """Offers rolled-out episodes to ``harvest``; returns how many it admitted.
+def admit_rollouts(
+    policy: TensorDictModuleBase, admission: EpisodeAdmission, **rollout: Any
+) -> int:
+    """Offers rolled-out episodes to ``admission``; returns how many it admitted.
 
     Raises:
         ValueError: If none was good enough.
     """
     for episode in rollout_episodes(policy, **rollout):
-        harvest(episode, 0)
-    admitted = len(harvest.grown.records)
+        admission(episode, 0)
+    admitted = len(admission.grown.records)
     if admitted == 0:
         raise ValueError(
             f"None of {rollout['episodes']} episodes of the BC model passed growth.admission; "

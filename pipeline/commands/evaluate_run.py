@@ -15,7 +15,7 @@ from pipeline.act.contact_recorder import ContactRecorder
 from pipeline.act.recorder import SeesSteps, Together
 from pipeline.compute import require_device
 from pipeline.files.run_files import versions
-from pipeline.files.simulator_steps import StepsBeside
+from pipeline.files.simulator_steps import ExtraSimulatorSteps
 from pipeline.machine.extras import require_extras
 from pipeline.policy import PolicyOrigin, load_policy
 from pipeline.recipe import Recipe
@@ -99,7 +99,7 @@ def made_from(
     recipe: Recipe, task: Task, run_dir: Path, origin: PolicyOrigin, overrides: Sequence[str]
 ) -> dict[str, Any]:
     """What figures of a policy were made from: the run, its budget, seeds and versions."""
-    beside, trained = StepsBeside.read(run_dir), saved_recipe(run_dir)
+    beside, trained = ExtraSimulatorSteps.read(run_dir), saved_recipe(run_dir)
     return {
         "run": str(run_dir),
         "checkpoint": origin.name,

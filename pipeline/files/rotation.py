@@ -14,9 +14,9 @@ from typing import Any
 
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 
+from pipeline.files.background import BackgroundWork
 from pipeline.files.run_files import CHECKPOINTS
 from pipeline.files.run_format import SUMMED
-from pipeline.files.sealing import Sealing
 from pipeline.files.sums import SUMS, replace_folder, write_sums
 
 
@@ -74,7 +74,7 @@ class SealedRotation(CheckpointRotation):
 
     def __init__(self, directory: Path, *, keep_last: int) -> None:
         super().__init__(directory, keep_last=keep_last)
-        self.sealing = Sealing()
+        self.sealing = BackgroundWork()
 
     def save(
         self,

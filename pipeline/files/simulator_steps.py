@@ -13,7 +13,7 @@ SIMULATOR_STEPS = "simulator_steps.json"
 
 
 @dataclass(frozen=True)
-class StepsBeside:
+class ExtraSimulatorSteps:
     """Control steps that are not frames of training, summed over copies of the environment."""
 
     demonstrations: int = 0
@@ -33,7 +33,7 @@ class StepsBeside:
         write_atomically(run_dir / SIMULATOR_STEPS, json.dumps(asdict(self), indent=2) + "\n")
 
     @classmethod
-    def read(cls, run_dir: Path) -> StepsBeside | None:
+    def read(cls, run_dir: Path) -> ExtraSimulatorSteps | None:
         """What :meth:`write` wrote; None for runs and policies that are older than this file.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Statistics of training episodes, and the harvest of good ones (SID)."""
+"""Statistics of training episodes, and the admission of good ones (SID)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class EpisodeHook(TrainerHookBase):
 
     Args:
         consumers: Called with every finished episode and the number of collected frames, one after
-            the other: SID's harvest, backtracking.
+            the other: SID's admission, backtracking.
         resumes_midway: Whether a resumed run continues the episodes that were open; if it starts
             fresh ones, their beginnings are not saved.
         device: Of the collected batches.

@@ -148,7 +148,7 @@ class EvaluationHook(TrainerHookBase):
         self.next_frame = state["next_frame"]
         self.last_frame = state["last_frame"]
         if self.interval and state.get("interval", self.interval) != self.interval:
-            # The first that is due in the new rhythm, as if it had always been this one.
+            # The first that is due in the new interval, as if it had always been this one.
             self.next_frame = (self.last_frame // self.interval + 1) * self.interval
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from tensordict import TensorDictBase
 from torchrl.trainers import Trainer, TrainerHookBase
 
+from pipeline.data.admission import MovingBound
 from pipeline.data.buffers import GrownDemonstrations
-from pipeline.data.harvest import MovingBound
 
 
 class GrownHook(TrainerHookBase):

@@ -19,7 +19,7 @@ from pipeline.settings import STRICT, Count, NotNegative, Positive, Rate, Share
 
 @settings(frozen=True, kw_only=True, config=STRICT)
 class OptimSettings:
-    """Optimizers and the rhythm of updates."""
+    """Optimizers and the schedule of updates."""
 
     actor_lr: Rate = 1e-5
     critic_lr: Rate = 1e-5

@@ -22,7 +22,7 @@ from pipeline.machine.cuda_graphs import Update, recorded
 
 
 @dataclass(frozen=True)
-class StepRhythm:
+class UpdateSchedule:
     """When each part of a step happens, counted in critic updates."""
 
     actor_period: int = 1
@@ -61,7 +61,7 @@ class BCSACStepper(OptimizationStepper):
     Args:
         loss: Terms and networks.
         actor_lr: Adam's rate for the actor; likewise ``critic_lr`` and ``temperature_lr``.
-        rhythm: How often each part runs.
+        schedule: How often each part runs.
         max_grad_norm: Clips the norm of the actor's and the critic's gradient; None leaves them.
         anneal_updates: Actor updates over which a cosine takes the actor's rate to zero; None
             keeps it constant.
@@ -80,7 +80,7 @@ class BCSACStepper(OptimizationStepper):
         actor_lr: float,
         critic_lr: float,
         temperature_lr: float,
-        rhythm: StepRhythm | None = None,
+        schedule: UpdateSchedule | None = None,
         max_grad_norm: float | None = None,
         anneal_updates: int | None = None,
         cuda_graphs: bool = False,
@@ -89,7 +89,7 @@ class BCSACStepper(OptimizationStepper):
     ) -> None:
         self.loss = loss
         self.guard = _guard(loss) if guarded else None
-        self.rhythm = rhythm if rhythm is not None else StepRhythm()
+        self.schedule = schedule if schedule is not None else UpdateSchedule()
         self.max_grad_norm = max_grad_norm
         self.optimizers = {
             "critic": make_adam([(loss.critic.parameters(), critic_lr)]),
@@ -109,7 +109,7 @@ class BCSACStepper(OptimizationStepper):
         self.gradients = ObjectiveGradients(loss, self.weights)
         # A target that moves at every update does so in its critics' loops, since the actor's
         # update does not look at it. One that moves now and then would need two compilations.
-        self._target_with_critic = compile_updates and self.rhythm.target_period == 1
+        self._target_with_critic = compile_updates and self.schedule.target_period == 1
         self._target = [*loss.target_critic.parameters(), *loss.target_critic.buffers()]
         self._learn_critic = compiled(self._critic_update, self._critic_state, compile_updates)
         actor = self._adam["actor"].state
@@ -170,15 +170,15 @@ class BCSACStepper(OptimizationStepper):
         return self.named(average)
 
     def _parts_due(self) -> StepParts:
-        rhythm = self.rhythm
+        schedule = self.schedule
         updates = self.critic_updates + 1
-        after_delay = updates - rhythm.actor_delay
-        actor = after_delay > 0 and after_delay % rhythm.actor_period == 0
-        diagnose = self.loss.updates % rhythm.diagnostics_period == 0
+        after_delay = updates - schedule.actor_delay
+        actor = after_delay > 0 and after_delay % schedule.actor_period == 0
+        diagnose = self.loss.updates % schedule.diagnostics_period == 0
         return StepParts(
             actor=actor,
             by_terms=actor and (diagnose or self._always_apart),
-            target=updates % rhythm.target_period == 0,
+            target=updates % schedule.target_period == 0,
         )
 
     def _learn(self, parts: StepParts, batch: TensorDictBase) -> dict[str, Tensor]:

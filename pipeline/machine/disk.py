@@ -13,8 +13,8 @@ from torch import Tensor
 from torchrl.data import ReplayBuffer
 from torchrl.trainers import Trainer
 
+from pipeline.files.background import BackgroundWork
 from pipeline.files.full_disk import is_full, where_and_what
-from pipeline.files.sealing import Sealing
 
 SPARE = 2**18
 """Bytes of descriptions."""
@@ -23,7 +23,7 @@ BLOCK = 2**13
 and its part of a description."""
 
 
-def with_room(trainer: Trainer, run_dir: Path, sealing: Sealing) -> None:
+def with_room(trainer: Trainer, run_dir: Path, sealing: BackgroundWork) -> None:
     """Lets ``trainer`` save nothing that the disk has no room for.
 
     A checkpoint is written through memory maps, and a write to one on a full disk is no error that

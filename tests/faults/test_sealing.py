@@ -19,10 +19,10 @@ import torch
 
 from pipeline.build import build_run
 from pipeline.files import rotation
+from pipeline.files.background import BackgroundWork
 from pipeline.files.run_files import RunDirectoryError
 from pipeline.files.run_format import verify_checkpoint
 from pipeline.files.run_lock import LOCK
-from pipeline.files.sealing import Sealing
 from pipeline.machine.interruption import Interrupted
 from pipeline.non_finite import NonFiniteError
 from pipeline.train import run_command_line
@@ -63,7 +63,7 @@ def hidden(run_dir: Path) -> list[Path]:
 
 
 def at(frames: int, what: Callable[[], None], then: Seal | None = rotation.seal) -> Seal:
-    """Sealing that does ``what`` before the checkpoint of ``frames``, and ``then`` as usual."""
+    """Work that does ``what`` before the checkpoint of ``frames``, and ``then`` as usual."""
 
     def seal(stage: Path, destination: Path) -> None:
         if destination.name.endswith(f"-{frames:012d}"):
@@ -252,7 +252,7 @@ def test_a_new_run_is_locked_and_a_resume_that_is_refused_locks_nothing(tmp_path
 
 
 def late(run: Run, seen: list[bool]) -> Callable[[], None]:
-    """Sealing that takes longer than all that is left of the run."""
+    """BackgroundWork that takes longer than all that is left of the run."""
 
     def wait() -> None:
         time.sleep(0.3)
@@ -375,7 +375,7 @@ def test_nothing_is_written_while_the_one_before_is_sealed(
 
 
 def test_what_failed_is_raised_once_and_by_whoever_comes_next():
-    sealing = Sealing()
+    sealing = BackgroundWork()
     sealing.settle()
     sealing.check()
     sealing.begin(full)
@@ -390,7 +390,7 @@ def test_what_failed_is_raised_once_and_by_whoever_comes_next():
 
 
 def test_looking_does_not_wait():
-    sealing, go = Sealing(), threading.Event()
+    sealing, go = BackgroundWork(), threading.Event()
 
     def fails_later() -> None:
         go.wait(PATIENCE_S)

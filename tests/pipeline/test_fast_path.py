@@ -23,7 +23,7 @@ from pipeline.data.buffers import DemonstrationDistribution, make_buffer, make_c
 from pipeline.data.mixture import Mixture
 from pipeline.learn.critics import BatchedCritics, EnsembleLayerNorm, EnsembleLinear
 from pipeline.learn.networks import make_actor
-from pipeline.learn.stepper import BCSACStepper, StepRhythm
+from pipeline.learn.stepper import BCSACStepper, UpdateSchedule
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
 
 pytestmark = pytest.mark.usefixtures("float64")
@@ -159,7 +159,7 @@ def make_stepper(loss: BCSACLoss) -> BCSACStepper:
         critic_lr=CRITIC_LR,
         temperature_lr=TEMPERATURE_LR,
         # Of the 50 updates, every seventh takes the actor's two gradients one by one.
-        rhythm=StepRhythm(target_period=1, diagnostics_period=7),
+        schedule=UpdateSchedule(target_period=1, diagnostics_period=7),
     )
 
 

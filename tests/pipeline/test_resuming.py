@@ -87,7 +87,7 @@ def test_what_may_change_acts_and_is_recorded(tmp_path: Path):
     assert run.evaluation.evaluator.episodes == 3
     run.train()
     assert run.trainer.collected_frames == 160
-    # 20 (the first), 40; then in the new rhythm.
+    # 20 (the first), 40; then in the new interval.
     assert frames_of(run_dir) == [20, 40, 60, 80, 100, 120, 140, 160]
     (entry,) = yaml.safe_load((run_dir / "config.yaml").read_text())["history"]
     assert entry["frames"] == HALF

@@ -31,7 +31,7 @@ from losses.rules import WeightRule
 from losses.terms import Term
 from pipeline.learn.critics import BatchedCritics
 from pipeline.learn.networks import make_actor
-from pipeline.learn.stepper import BCSACStepper, StepRhythm
+from pipeline.learn.stepper import BCSACStepper, UpdateSchedule
 from pipeline.machine.compilation import why_not_compiled
 from pipeline.watch.diagnostics import DemonstrationProbe, TrainingState
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch, parameters_of, same
@@ -103,8 +103,8 @@ def make_objective(*terms: Term) -> Objective:
 
 def make_stepper(loss: Objective, **options) -> BCSACStepper:
     rates = {"actor_lr": 1e-3, "critic_lr": 2e-3, "temperature_lr": 3e-3}
-    rhythm = StepRhythm(diagnostics_period=3)
-    return BCSACStepper(loss, **({"rhythm": rhythm} | rates | options))
+    schedule = UpdateSchedule(diagnostics_period=3)
+    return BCSACStepper(loss, **({"schedule": schedule} | rates | options))
 
 
 def flat(tensors) -> Tensor:
@@ -152,7 +152,7 @@ def test_several_terms_may_have_a_size_relative_to_reinforcement(factor: float):
         Smoothness(weight=0.1, rule=GradientRatio(3.0)),
     )
     given, own, metrics = of_one_step(
-        make_objective(*terms, PULL), rhythm=StepRhythm(diagnostics_period=10**9)
+        make_objective(*terms, PULL), schedule=UpdateSchedule(diagnostics_period=10**9)
     )
     scale = own["rl"].norm()
     weights = {"bc": 0.8 * factor, "smooth": 0.3}

@@ -12,7 +12,7 @@ from torch import Tensor
 from losses import BCSACLoss, LinearWeight
 from pipeline.learn.critics import BatchedCritics
 from pipeline.learn.networks import make_actor
-from pipeline.learn.stepper import BCSACStepper, StepRhythm
+from pipeline.learn.stepper import BCSACStepper, UpdateSchedule
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch
 
 UPDATES = 20
@@ -40,7 +40,7 @@ def make_stepper(loss: BCSACLoss, *, target_period: int = 2, **options) -> BCSAC
         actor_lr=1e-3,
         critic_lr=2e-3,
         temperature_lr=3e-3,
-        rhythm=StepRhythm(target_period=target_period, diagnostics_period=3, actor_delay=2),
+        schedule=UpdateSchedule(target_period=target_period, diagnostics_period=3, actor_delay=2),
         anneal_updates=UPDATES,
         **options,
     )

@@ -1,4 +1,4 @@
-"""One optimization step: its order, its rhythm, and how the two actor gradients meet."""
+"""One optimization step: its order, its schedule, and how the two actor gradients meet."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from losses import BCSACLoss, ExponentialWeight, GradientRatio
 from pipeline import components
 from pipeline.learn.imitation import ImitationStepper
 from pipeline.learn.objective import LossSettings
-from pipeline.learn.stepper import BCSACStepper, StepRhythm
+from pipeline.learn.stepper import BCSACStepper, UpdateSchedule
 from tests.pipeline.toys import ACTION_SIZE, make_batch, make_loss, parameters_of, same
 
 
@@ -46,7 +46,7 @@ STEP = ["critic_terms", "actor_terms", "alpha_loss", "update_target"]
 def test_canonical_order(monkeypatch: pytest.MonkeyPatch):
     loss = make_loss()
     calls = spied(loss, monkeypatch)
-    make_stepper(loss, rhythm=StepRhythm(target_period=1)).step(None, make_batch(6))
+    make_stepper(loss, schedule=UpdateSchedule(target_period=1)).step(None, make_batch(6))
     assert calls == STEP
 
 
@@ -70,18 +70,18 @@ def test_each_part_sees_what_the_part_before_it_learned(monkeypatch: pytest.Monk
 
     for part in STEP:
         watch(part)
-    make_stepper(loss, rhythm=StepRhythm(target_period=1)).step(None, make_batch(6))
+    make_stepper(loss, schedule=UpdateSchedule(target_period=1)).step(None, make_batch(6))
     # The temperature's loss needs the sampled log-densities alone; its step is the actor's.
     seen = [set(), {"critic"}, {"critic"}, {"critic", "actor"}]
     assert changed == dict(zip(STEP, seen, strict=True))
 
 
-def test_rhythm(monkeypatch: pytest.MonkeyPatch):
+def test_schedule(monkeypatch: pytest.MonkeyPatch):
     """Delay 3, then an actor update every 2nd and a target update every 4th critic update."""
     loss = make_loss()
     calls = spied(loss, monkeypatch)
-    rhythm = StepRhythm(actor_period=2, target_period=4, actor_delay=3)
-    stepper = make_stepper(loss, rhythm=rhythm)
+    schedule = UpdateSchedule(actor_period=2, target_period=4, actor_delay=3)
+    stepper = make_stepper(loss, schedule=schedule)
     happened = []
     for _ in range(10):
         calls.clear()
@@ -97,18 +97,18 @@ def test_rhythm(monkeypatch: pytest.MonkeyPatch):
     ("option", "value"),
     [("actor_period", 0), ("target_period", 0), ("actor_delay", -1), ("diagnostics_period", 0)],
 )
-def test_a_senseless_rhythm_names_its_key(option: str, value: int):
+def test_a_senseless_schedule_names_its_key(option: str, value: int):
     with pytest.raises(ValueError, match=rf"optim\.{option} must .* got {value}"):
-        StepRhythm(**{option: value})
+        UpdateSchedule(**{option: value})
 
 
 @pytest.mark.parametrize("diagnostics_period", [1, 10**9], ids=["two gradients", "one gradient"])
 def test_weight_zero_is_no_imitation(diagnostics_period: int):
     marked, plain = make_loss(bc_weight=0.0, rl_on_demos=True), None
     plain = deepcopy(marked)
-    rhythm = StepRhythm(diagnostics_period=diagnostics_period)
+    schedule = UpdateSchedule(diagnostics_period=diagnostics_period)
     for loss, demo_rows in ((marked, 3), (plain, None)):
-        stepper = make_stepper(loss, rhythm=rhythm)
+        stepper = make_stepper(loss, schedule=schedule)
         torch.manual_seed(5)
         for _ in range(3):
             stepper.step(None, make_batch(6, demo_rows))
@@ -123,7 +123,7 @@ def test_measuring_the_gradients_does_not_change_the_step():
         # The very first step measures, whatever the period.
         loss.updates = 1
         torch.manual_seed(5)
-        stepper = make_stepper(loss, rhythm=StepRhythm(diagnostics_period=period))
+        stepper = make_stepper(loss, schedule=UpdateSchedule(diagnostics_period=period))
         stepper.step(None, make_batch(6, 3))
     for mine, theirs in zip(parameters_of(first), parameters_of(second), strict=True):
         torch.testing.assert_close(mine, theirs)
@@ -218,7 +218,7 @@ def test_the_norm_of_both_gradients_is_clipped():
 
 def test_results_are_detached_and_have_the_same_keys_at_every_step():
     """TorchRL averages them over a batch's steps by the keys of the first."""
-    stepper = make_stepper(make_loss(), rhythm=StepRhythm(actor_period=3))
+    stepper = make_stepper(make_loss(), schedule=UpdateSchedule(actor_period=3))
     for _ in range(4):
         result = stepper.step(None, make_batch(6, 2))
         assert [(key, value.shape) for key, value in result.items()] == [("metrics", (12,))]
@@ -229,7 +229,7 @@ def test_results_are_detached_and_have_the_same_keys_at_every_step():
 
 
 def test_steps_leave_no_tensors_behind():
-    stepper = make_stepper(make_loss(), rhythm=StepRhythm(diagnostics_period=2))
+    stepper = make_stepper(make_loss(), schedule=UpdateSchedule(diagnostics_period=2))
 
     def alive_after(steps: int) -> int:
         for _ in range(steps):
@@ -290,12 +290,12 @@ def test_a_rate_is_constant_unless_annealed(imitation: bool):
 
 @pytest.mark.parametrize("anneal_updates", [None, 3])
 def test_a_step_goes_on_from_its_state(anneal_updates: int | None):
-    rhythm = StepRhythm(actor_period=2, target_period=4, diagnostics_period=2)
+    schedule = UpdateSchedule(actor_period=2, target_period=4, diagnostics_period=2)
     torch.manual_seed(1)
     batches = [make_batch(6, 2) for _ in range(7)]
     whole = make_loss()
     halved = deepcopy(whole)
-    options = {"rhythm": rhythm, "anneal_updates": anneal_updates}
+    options = {"schedule": schedule, "anneal_updates": anneal_updates}
     first = make_stepper(halved, **options)
     for loss, stepper in ((whole, make_stepper(whole, **options)), (halved, first)):
         torch.manual_seed(5)

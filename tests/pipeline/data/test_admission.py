@@ -9,9 +9,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.data.admission import AdmissionRule, EpisodeAdmission, MovingBound
 from pipeline.data.buffers import GrownDemonstrations
 from pipeline.data.episodes import FinishedEpisode
-from pipeline.data.harvest import AdmissionRule, Harvest, MovingBound
 from pipeline.data.rows import TransitionRows
 from tests.pipeline.toys import trajectory
 
@@ -73,14 +73,16 @@ def test_a_rule_without_a_bound_is_refused():
 
 def test_a_good_episode_joins_with_its_provenance_and_a_bad_one_does_not():
     grown = GrownDemonstrations(capacity=20)
-    harvest = Harvest(grown, AdmissionRule(), TransitionRows(0.5, n_step=2), source="policy")
+    admission = EpisodeAdmission(
+        grown, AdmissionRule(), TransitionRows(0.5, n_step=2), source="policy"
+    )
     steps = trajectory([1.0, 2.0, 4.0], truncated=[2])
     steps["next", "progress"] = torch.tensor([[0.1], [1.4], [0.7]])
     steps["next", "success"] = torch.tensor([[False], [True], [False]])
     good = FinishedEpisode.from_trajectory(steps)
-    harvest(episode(100.0, 0.3, False), frame=5)
+    admission(episode(100.0, 0.3, False), frame=5)
     assert len(grown) == 0
-    harvest(good, frame=7)
+    admission(good, frame=7)
     (record,) = grown.records
     assert (record.source, record.length, record.frame) == ("policy", 3, 7)
     assert record.episode_return == 7.0
@@ -143,7 +145,9 @@ def test_a_moving_bound_goes_on_after_a_restart():
 def test_both_the_rule_and_the_moving_bound_must_be_cleared_and_the_bound_sees_failures():
     grown = GrownDemonstrations(capacity=20)
     bound = MovingBound(quantile=0.5, window=2)
-    harvest = Harvest(grown, AdmissionRule(), TransitionRows(0.5, n_step=1), "policy", bound)
+    admission = EpisodeAdmission(
+        grown, AdmissionRule(), TransitionRows(0.5, n_step=1), "policy", bound
+    )
     for frame, (total, angle) in enumerate(
         [
             (10.0, 1.5),  # the window fills
@@ -153,5 +157,5 @@ def test_both_the_rule_and_the_moving_bound_must_be_cleared_and_the_bound_sees_f
             (25.0, 1.5),  # above 22, the median of 14 and 30, and a success
         ]
     ):
-        harvest(episode(total, angle, success=angle > 1.35), frame)
+        admission(episode(total, angle, success=angle > 1.35), frame)
     assert [r.episode_return for r in grown.records] == [25.0]

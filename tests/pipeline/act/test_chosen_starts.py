@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from torchrl.envs import check_env_specs
 
 from envs import EnvOptions
-from pipeline.act.begun import BegunEnv
+from pipeline.act.chosen_starts import ChosenStartsEnv
 from pipeline.files.checkpoint import resumes_midway
 from tests.toys import reach
 
@@ -28,8 +28,8 @@ class Counting:
         return TensorDict({"start": starts}, [count]), at
 
 
-def made(begin=None, horizon: int = 4) -> BegunEnv:
-    return BegunEnv(reach.Reach(EnvOptions(num_envs=3, seed=1, horizon=horizon)), begin)
+def made(begin=None, horizon: int = 4) -> ChosenStartsEnv:
+    return ChosenStartsEnv(reach.Reach(EnvOptions(num_envs=3, seed=1, horizon=horizon)), begin)
 
 
 def test_it_is_an_environment():

@@ -118,7 +118,7 @@ class MovingBound:
 
 
 @dataclass(frozen=True)
-class Harvest:
+class EpisodeAdmission:
     """Admits good episodes to the grown demonstrations, with their provenance."""
 
     grown: GrownDemonstrations

@@ -10,7 +10,7 @@ from functools import partial
 _logger = logging.getLogger(__name__)
 
 
-class Sealing:
+class BackgroundWork:
     """At most one piece of work in a thread of its own, whose failure is that of who asks next.
 
     A thread and no process: checksums are taken and the disk is waited for without Python's lock,

@@ -10,9 +10,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from envs import EnvOptions
 from losses import Proposal
-from pipeline.act.begun import BegunEnv
+from pipeline.act.chosen_starts import ChosenStartsEnv
 from pipeline.act.exploration import EpisodeNoise
-from pipeline.act.shaped import ChunkedPolicy, ProposingPolicy, core_of, through
+from pipeline.act.policy_wrappers import ChunkedPolicy, ProposingPolicy, through, unwrapped
 from pipeline.learn.networks import make_actor
 from tests.toys import reach
 
@@ -64,13 +64,13 @@ def test_its_weights_are_those_of_both_and_of_the_critic():
 def test_noise_is_the_actors_and_a_policy_is_the_same_around_it():
     own, clone = make_actor(3, 2, [8]), make_actor(3, 2, [8])
     policy = ProposingPolicy(own, Proposal(clone), LikesItsSide())
-    assert core_of(policy) is own
-    assert core_of(own) is own
+    assert unwrapped(policy) is own
+    assert unwrapped(own) is own
     noisy = EpisodeNoise(own, seed=1)
     assert through(own, noisy) is noisy
     judged = through(policy, noisy)
-    assert core_of(judged) is noisy
-    assert core_of(policy) is own, "the policy itself is as it was"
+    assert unwrapped(judged) is noisy
+    assert unwrapped(policy) is own, "the policy itself is as it was"
     noisy.begin(0, 64)
     drawn = acted(noisy)
     noisy.begin(0, 64)
@@ -117,7 +117,7 @@ def test_an_episode_begins_with_a_chunk_of_its_own():
 
 def test_a_chunk_goes_on_in_an_environment_that_tells_its_beginnings():
     """Episodes of two steps: a chunk's third action is never reached."""
-    env = BegunEnv(reach.Reach(EnvOptions(num_envs=2, seed=1, horizon=2)))
+    env = ChosenStartsEnv(reach.Reach(EnvOptions(num_envs=2, seed=1, horizon=2)))
     given = []
 
     class Given(Numbered):

@@ -31,7 +31,7 @@ class Begin(Protocol):
         ...
 
 
-class BegunEnv(EnvBase):
+class ChosenStartsEnv(EnvBase):
     """``base`` as it is, whose episodes begin where ``begin`` says.
 
     Args:

@@ -15,13 +15,13 @@ from torchrl.modules import ProbabilisticActor
 
 from losses import functional as F
 from losses.proposal import Proposal
-from pipeline.act.begun import IS_INIT
+from pipeline.act.chosen_starts import IS_INIT
 from pipeline.settings import STRICT, Positive
 
 ACTION = "action"
 
 
-class ShapedPolicy(TensorDictModuleBase):
+class PolicyWrapper(TensorDictModuleBase):
     """A policy around a core: an actor, or another one that acts with an actor's weights.
 
     Args:
@@ -39,14 +39,14 @@ class ShapedPolicy(TensorDictModuleBase):
         """The same around another core."""
 
 
-def core_of(policy: TensorDictModuleBase) -> TensorDictModuleBase:
+def unwrapped(policy: TensorDictModuleBase) -> TensorDictModuleBase:
     """The innermost policy."""
-    return core_of(policy.core) if isinstance(policy, ShapedPolicy) else policy
+    return unwrapped(policy.core) if isinstance(policy, PolicyWrapper) else policy
 
 
 def through(policy: TensorDictModuleBase, core: TensorDictModuleBase) -> TensorDictModuleBase:
     """What ``policy`` is around its core, around another one."""
-    if not isinstance(policy, ShapedPolicy):
+    if not isinstance(policy, PolicyWrapper):
         return core
     return policy.through(through(policy.core, core))
 
@@ -69,7 +69,7 @@ class ProposalSettings:
         return Proposal(imitator.requires_grad_(False).eval(), self.beta)
 
 
-class ProposingPolicy(ShapedPolicy):
+class ProposingPolicy(PolicyWrapper):
     """Acts with the better of two actions: the core's and that of a policy that imitates.
 
     Where noise is turned off, the better one is taken whatever ``proposal.beta``.
@@ -108,7 +108,7 @@ LEFT = "chunk_left"
 """[N, 1] int64, how many these are."""
 
 
-class ChunkedPolicy(ShapedPolicy):
+class ChunkedPolicy(PolicyWrapper):
     """Executes the actions that a core gives at once, one a step, without looking (Q-chunking).
 
     Source: arXiv:2507.07969, section 4. What is left of a chunk travels in the tensordict, under
@@ -144,7 +144,7 @@ class ChunkedPolicy(ShapedPolicy):
         return acted.set(ACTION, chunk[:, 0])
 
 
-def shaped(
+def acting_policy(
     core: TensorDictModuleBase,
     chunk: int = 1,
     proposal: Proposal | None = None,
