@@ -16,12 +16,16 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import torch
 from dtaidistance import dtw, dtw_ndim
 from numpy.typing import NDArray
+from torchrl.modules import ProbabilisticActor
 
 from envs import Task
 from envs.demonstrations import DemonstrationError, DemoOptions, Episode, load_demonstrations
 from envs.motion import Motion
+from losses.imitation_errors import clamp_to_support, negative_log_likelihood
+from losses.policy import policy_distribution
 from pipeline.act.metrics import Rollouts
 from pipeline.act.recorder import Recorder
 
@@ -151,13 +155,13 @@ class Comparison:
     Attributes:
         source: of the demonstrations.
         motion: of the task.
-        shown: the demonstrations' movements.
+        demonstrations: as they are compared.
         recorder: what the evaluation has to show its steps to.
     """
 
     source: str
     motion: Motion
-    shown: tuple[Movement, ...]
+    demonstrations: tuple[Episode, ...]
     recorder: Recorder
 
     @classmethod
@@ -176,18 +180,44 @@ class Comparison:
             DemonstrationError: If the demonstrations cannot be used.
         """
         motion: Motion = task.require("motion", f"make eval DEMOS={source}")
-        shown = tuple(_shown(motion, episode) for episode in _demonstrations(task, source))
-        return cls(source, motion, shown, Recorder(episodes))
+        return cls(source, motion, tuple(_demonstrations(task, source)), Recorder(episodes))
 
-    def figures(self, rollouts: Rollouts) -> dict[str, Any]:
-        """See :func:`likeness`, of the episodes that were recorded."""
+    def figures(
+        self, rollouts: Rollouts, actor: ProbabilisticActor | None, margin: float
+    ) -> dict[str, Any]:
+        """See :func:`likeness`, of the episodes that were recorded, and :func:`mean_nll`.
+
+        Args:
+            rollouts: Of the evaluation.
+            actor: Of one action at a time; None for others, which leaves out the likelihood.
+            margin: As :func:`mean_nll`.
+        """
         movements = []
         for i, (observations, actions) in enumerate(self.recorder.episodes()):
             success = None if rollouts.success is None else rollouts.success[i, : len(actions)]
             progress = None if rollouts.progress is None else rollouts.progress[i, : len(actions)]
             movements.append(Movement.of(self.motion, observations, actions, success, progress))
-        found = likeness(movements, self.shown, self.motion.steps_per_second)
-        return {"to": Path(self.source).name, **found}
+        shown = [_shown(self.motion, episode) for episode in self.demonstrations]
+        found = likeness(movements, shown, self.motion.steps_per_second)
+        nll = None if actor is None else mean_nll(actor, self.demonstrations, margin)
+        return {"to": Path(self.source).name, "demonstrations_nll": nll, **found}
+
+
+def mean_nll(actor: ProbabilisticActor, episodes: Sequence[Episode], margin: float) -> float:
+    """Mean of -log pi(a|s) over all steps of episodes, in nats an action (paper, section III-B).
+
+    Args:
+        actor: Of one action at a time.
+        episodes: Of demonstrations.
+        margin: Their actions are kept this far inside (-1, 1).
+    """
+    device = next(actor.parameters()).device
+    observations = np.concatenate([episode.observations[:-1] for episode in episodes])
+    actions = np.concatenate([episode.actions for episode in episodes])
+    with torch.no_grad():
+        policy = policy_distribution(actor, torch.as_tensor(observations, device=device))
+        kept = clamp_to_support(torch.as_tensor(actions, device=device), margin)
+        return float(negative_log_likelihood(policy, kept).mean())
 
 
 def _demonstrations(task: Task, source: str) -> Sequence[Episode]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from envs import Task
 from envs.contacts import Contacts
 from envs.demonstrations.sources import BUNDLED
 from pipeline import components
 from pipeline.act.contact_recorder import ContactRecorder
+from pipeline.act.policy_wrappers import unwrapped
 from pipeline.act.recorder import SeesSteps, Together
 from pipeline.compute import require_device
 from pipeline.files.run_files import versions
@@ -23,6 +24,8 @@ from pipeline.results.evaluation_files import RunEvaluation, episode_columns, pr
 from pipeline.run_dir import load_recipe, saved_recipe
 
 if TYPE_CHECKING:
+    from torchrl.modules import ProbabilisticActor
+
     from pipeline.act.likeness import Comparison
 
 COMPARED: Final = 100
@@ -75,10 +78,14 @@ def run_evaluation(
     seen: list[SeesSteps] = [] if comparison is None else [comparison.recorder]
     rollouts = evaluator.run(policy, Together([*seen, touched] if touches is not None else seen))
     ways = None if touches is None else touched.strategies(touches, rollouts)
+    # The density of several actions at once says nothing of one of them.
+    actor = cast("ProbabilisticActor", unwrapped(policy)) if recipe.actor.chunk == 1 else None
+    margin = recipe.loss.action_margin
+    alike = {} if comparison is None else {"likeness": comparison.figures(rollouts, actor, margin)}
     metrics = {
         **evaluator.metrics(rollouts),
         **({} if ways is None or touches is None else {"strategies": ways.figures(touches)}),
-        **({} if comparison is None else {"likeness": comparison.figures(rollouts)}),
+        **alike,
         "made_from": made_from(recipe, task, run_dir, origin, overrides),
     }
     return RunEvaluation(
