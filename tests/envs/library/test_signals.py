@@ -76,7 +76,7 @@ def test_gymnasium_s_own_environments_are_searched_only_on_request(monkeypatch, 
     monkeypatch.setattr(PendulumEnv, "step", lambda *of: taken.append(0) or step(*of))
     with suppress(ValueError):
         probe(SingleEnv("gymnasium", "Pendulum-v1", TaskOptions(**options)))
-    assert least <= len(taken) <= least + 50
+    assert least <= len(taken) < least + 100  # of the 200 of an episode
 
 
 def test_success_by_termination():
