@@ -35,4 +35,4 @@ def test_a_run_survives_kills(variant: str, tmp_path: Path, recorded: Path):
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["bc", "bc_sac", "da_sac", "ila_bc", "best"])
 def test_a_run_survives_many_kills(variant: str, tmp_path: Path, recorded: Path):
-    killed_and_resumed(variant, 3 * KILLS, tmp_path, recorded)
+    killed_and_resumed(variant, 10 * KILLS, tmp_path, recorded)
