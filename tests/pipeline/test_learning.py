@@ -13,7 +13,6 @@ from scipy.stats import permutation_test
 from configs import compose
 from pipeline.build import build_run
 from pipeline.components import make_evaluator
-from tests.pipeline.toys import built
 from tests.toys import reach
 
 
@@ -23,7 +22,6 @@ def test_sac_learns_the_pendulum(tmp_path: Path):
     config = compose(
         "variant=sac",
         "preset=smoke",
-        f"run_dir='{tmp_path / 'run'}'",
         "task.name='gymnasium:Pendulum-v1'",
         "env.num_envs=5",
         "env.horizon=null",
@@ -46,7 +44,7 @@ def test_sac_learns_the_pendulum(tmp_path: Path):
         "logging.checkpoint_interval=100000",
     )
     evaluator = make_evaluator(config, config.find_task(), episodes=30)
-    run = built(config)
+    run = build_run(config, tmp_path / "run")
     before = evaluator.run(run.actor).returns
     run.train()
     after = evaluator.run(run.actor).returns
