@@ -23,8 +23,9 @@ class Composition:
 
     Raises:
         ValueError: if two terms share a name or a metric, a term with ``reinforces`` has no
-            temperature, a term has a rule but the actor has no (other) reinforcement term to
-            compare gradients with, or two terms are a temperature or have a ``tau``.
+            temperature, a temperature learns or a term has a rule but the actor has no (other)
+            reinforcement term, whose actions and gradient these need, or two terms are a
+            temperature or have a ``tau``.
         TypeError: for a term that is neither a critic's, nor an actor's, nor a temperature.
     """
 
@@ -72,14 +73,19 @@ class Composition:
     def out_keys(self) -> list[str]:
         """Names of what the objective's ``forward`` returns."""
         of_weighted = (k for t in self.terms if t.weight is not None for k in _own(t))
-        losses = [term.loss_key for term in self.terms]
+        losses = [term.loss_key for term in self._minimised()]
         measured = [*self._measured(), *(k for t in self.terms for k in t.returns)]
         return [*losses, *sorted({*of_weighted, *measured})]
 
     def _losses(self) -> list[str]:
-        return [term.metric for term in self.terms] + [
+        return [term.metric for term in self._minimised()] + [
             term.weight_metric for term in self.terms if term.weight is not None
         ]
+
+    def _minimised(self) -> list[Term]:
+        """The terms that have a loss: not a temperature that no action of the policy moves."""
+        idle = self.temperature if self.reference is None else None
+        return [term for term in self.terms if term is not idle]
 
     def _measured(self) -> list[str]:
         return [name for term in self.terms for name in (*term.logs, *term.logs_after_step)]
@@ -109,6 +115,12 @@ class Composition:
                     f"the term {term.name!r} weighs entropy by a temperature, which the objective "
                     "does not have: add Temperature(), with learn=False for a fixed one"
                 )
+        if self.reference is None and self.temperature is not None and self.temperature.learn:
+            raise ValueError(
+                f"the term {self.temperature.name!r} learns from actions that a reinforcement term "
+                "of the actor draws, which the objective does not have: add SoftValue(), or "
+                "Temperature(learn=False)"
+            )
         for term in self.of_actor:
             if term.rule is not None and (self.reference is None or term is self.reference):
                 raise ValueError(

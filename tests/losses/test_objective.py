@@ -287,3 +287,14 @@ def test_a_term_may_read_entries_of_its_own() -> None:
     loss = objective(*SAC, Marked())
     assert loss.actor_terms(batch).values["marked"].loss.item() == 0.0
     assert set(loss.in_keys) == {*objective(*SAC).in_keys, "mark"}
+
+
+def test_a_temperature_that_nothing_draws_actions_for() -> None:
+    """Critics of a fixed temperature need no reinforcement term of the actor; learning one does."""
+    fixed = objective(SoftTD(), Temperature(learn=False), Imitation(weight=1.0))
+    found = fixed(make_batch(12, demo_rows=4))
+    assert set(found.keys()) == set(fixed.out_keys)
+    assert "loss_alpha" not in fixed.out_keys
+    assert "loss_alpha" not in fixed.composition.metrics
+    with pytest.raises(ValueError, match=r"'alpha' learns from actions.*add SoftValue\(\), or"):
+        objective(SoftTD(), Temperature(), Imitation(weight=1.0))

@@ -249,4 +249,6 @@ def test_a_stepper_needs_something_to_teach():
     with pytest.raises(ValueError, match=r"trains the critics: add SoftTD\(\)"):
         make_stepper(Objective(actor, critic, [Imitation()]))
     with pytest.raises(ValueError, match=r"trains the actor: add SoftValue\(\)"):
-        make_stepper(Objective(actor, critic, [SAC[0], SAC[2]]))
+        make_stepper(
+            Objective(actor, critic, [SAC[0], Temperature(target_entropy=-1.0, learn=False)])
+        )
