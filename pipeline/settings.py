@@ -12,7 +12,7 @@ sections are a :class:`~pipeline.recipe.Recipe`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -63,21 +63,39 @@ def checked(kind: type[Section], values: Mapping[str, Any], where: str) -> Secti
     try:
         return TypeAdapter(kind).validate_python(dict(values))
     except ValidationError as error:
-        raise SettingsError(f"{where}: {explained(error)}") from error
+        raise SettingsError(f"{where}: {explained(error, values)}") from error
 
 
-def explained(error: ValidationError) -> str:
-    """What is wrong, key by key, in one line."""
-    found = []
+def explained(error: ValidationError, values: Mapping[str, Any]) -> str:
+    """What is wrong with ``values``, key by key, in one line."""
+    found: dict[str, str] = {}
     for problem in error.errors(include_url=False):
-        key = ".".join(str(part) for part in problem["loc"]) or "the settings"
+        key = _key(problem["loc"], values) or "the settings"
         if problem["type"] == "unexpected_keyword_argument":
-            found.append(f"{key} is not a key that exists")
+            found[key] = f"{key} is not a key that exists"
         elif problem["type"] == "value_error":  # of a section's own, which names its keys
-            found.append(problem["msg"].removeprefix("Value error, "))
+            message = problem["msg"].removeprefix("Value error, ")
+            found[message] = message
+        elif key in found:  # another kind of value that the key may have, and this is none of
+            found[key] += f", or {problem['msg'].removeprefix('Input should be ')}"
         else:
-            found.append(f"{key}={problem['input']!r}: {problem['msg']}")
-    return "; ".join(found)
+            found[key] = f"{key}={problem['input']!r}: {problem['msg']}"
+    return "; ".join(found.values())
+
+
+def _key(location: Sequence[int | str], values: Mapping[str, Any]) -> str:
+    """The dotted key, without the names that pydantic gives the branches of a union."""
+    parts: list[str] = []
+    here: Any = values
+    for part in location:
+        if isinstance(here, Mapping):
+            here = here.get(part)
+        elif isinstance(here, list | tuple) and isinstance(part, int):
+            here = here[part]
+        else:
+            break
+        parts.append(str(part))
+    return ".".join(parts)
 
 
 def plain(section: object) -> dict[str, Any]:
