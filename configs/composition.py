@@ -20,7 +20,7 @@ from envs.registry import task_defaults
 from pipeline.files.run_files import PLACES
 from pipeline.literals import LITERAL, literal
 from pipeline.recipe import Recipe, TaskSettings
-from pipeline.renamed import rename_overrides
+from pipeline.renamed import rename_override
 
 _logger = logging.getLogger(__name__)
 
@@ -80,7 +80,7 @@ def prepare(overrides: Sequence[str]) -> list[str]:
     """Makes Hydra ready for a command line: the keys, and the values of the task it asks for.
 
     Args:
-        overrides: As typed; keys may have names of before.
+        overrides: As typed; ``env.name`` is read as ``task.name``.
 
     Returns:
         The overrides under today's names.
@@ -89,9 +89,11 @@ def prepare(overrides: Sequence[str]) -> list[str]:
         UnknownTaskError: If no task has the name that is asked for.
     """
     register_schema()
-    renamed, found = rename_overrides(list(overrides))
-    for old, new in found.items():
-        _logger.warning("%s is now called %s; the old name will go", old, new)
+    renamed = [rename_override(override) for override in overrides]
+    for typed, today in zip(overrides, renamed, strict=True):
+        if typed != today:
+            old, new = typed.partition("=")[0], today.partition("=")[0]
+            _logger.warning("%s is now called %s; the old name will go", old, new)
     register_task_defaults(task_defaults(task_named(renamed)))
     several = bool({"-m", "--multirun"} & set(renamed))
     return [spelled_for_hydra(override, several=several) for override in renamed]

@@ -5,9 +5,10 @@ Importing this package registers the door with gymnasium as ``AdroitDoor-v0``.
 
 from __future__ import annotations
 
+from typing import Final
+
 import gymnasium
 
-from envs.door.gymnasium_env import GYMNASIUM_ID, AdroitDoorEnv
 from envs.door.task import HORIZON
 from envs.options import EnvOptions
 from envs.registry import find_task
@@ -15,9 +16,12 @@ from envs.task import Stage, Task
 
 __all__ = ["EnvOptions", "Stage", "Task", "find_task"]
 
+GYMNASIUM_ID: Final = "AdroitDoor-v0"
+"""Of the door; gymnasium imports its environment when one is made."""
+
 if GYMNASIUM_ID not in gymnasium.registry:
     gymnasium.register(
         GYMNASIUM_ID,
-        entry_point=f"{AdroitDoorEnv.__module__}:{AdroitDoorEnv.__name__}",
+        entry_point="envs.door.gymnasium_env:AdroitDoorEnv",
         max_episode_steps=HORIZON,
     )

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from torchrl.envs import EnvBase
+
+if TYPE_CHECKING:
+    from torchrl.envs import EnvBase
 
 Range = tuple[float, float]
 Floats = NDArray[np.float64]

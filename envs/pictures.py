@@ -11,10 +11,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
-from torchrl.envs import EnvBase
 
-if TYPE_CHECKING:  # at run time it imports `envs.task`, which imports this module
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+    from torchrl.envs import EnvBase
+
+    # At run time it imports `envs.task`, which imports this module.
     from envs.demonstrations.episode import Episode
 
 RGB: Final = "rgb_array"

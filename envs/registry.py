@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Final
 
 from envs.options import TaskOptions
+from envs.reference import Reference
 from envs.task import Task
 from envs.user_files import split_file
 
@@ -24,6 +25,8 @@ OURS: Final[Mapping[str, str]] = MappingProxyType(
     {name: f"envs.{name}.definition" for name in ("door", "hammer", "pen", "relocate")}
 )
 """Modules that hold a ``TASK``, by its name. They are imported when they are asked for."""
+REFERENCES: Final[Mapping[str, str]] = MappingProxyType({"door": "envs.door.paper"})
+"""Modules whose ``PAPER`` are the published rows of a task of ours, by its name."""
 LIBRARIES: Final[Mapping[str, str]] = MappingProxyType(
     {"gymnasium": "envs.library", "dm_control": "envs.library"}
 )
@@ -98,6 +101,22 @@ def find_task(name: str, options: TaskOptions = NO_OPTIONS) -> Task:
         offered: Task = found[0].load()
         return offered
     raise UnknownTaskError(f"unknown task {name!r}; valid: {FORMS}")
+
+
+def reference_of(name: str) -> Reference | None:
+    """:attr:`envs.task.Task.reference` of the task called ``name``.
+
+    Ours are not made for it: a task stands on torch and MuJoCo, its published rows on nothing.
+
+    Raises:
+        UnknownTaskError, ValueError: as :func:`find_task`.
+    """
+    if name not in OURS:
+        return find_task(name).reference
+    if name not in REFERENCES:
+        return None
+    published: Reference = import_module(REFERENCES[name]).PAPER
+    return published
 
 
 def task_defaults(name: str) -> Mapping[str, Mapping[str, object]]:

@@ -24,9 +24,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from numpy.typing import NDArray
-from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
-from torchrl.envs import EnvBase
 
 from envs.contacts import Contacts
 from envs.disturbing import Disturb
@@ -35,7 +32,12 @@ from envs.options import EnvOptions
 from envs.pictures import Render
 from envs.reference import Reference
 
-if TYPE_CHECKING:  # at run time they import this module
+if TYPE_CHECKING:  # tables and messages ask about tasks without tensors
+    from tensordict import TensorDict, TensorDictBase
+    from torch import Tensor
+    from torchrl.envs import EnvBase
+
+    # At run time they import this module.
     from envs.demonstrations.episode import Episode
     from envs.demonstrations.multiplication import Variation
     from envs.demonstrations.schema import DemoSchema

@@ -10,6 +10,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
+from envs.one_line import kind_and_text
+
 SUFFIX: Final = ".py"
 _OF_A_PACKAGE: Final = (
     "a file that is named alone is of no package: say where its package lies with "
@@ -73,4 +75,4 @@ def told_at(error: BaseException, file: Path) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == str(file)]
     at = f", line {lines[-1]}" if lines else ""
-    return f"{file.name}{at} ({' '.join(f'{type(error).__name__}: {error}'.split())})"
+    return f"{file.name}{at} ({kind_and_text(error)})"

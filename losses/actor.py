@@ -12,7 +12,7 @@ from losses.passes import ActorPass
 from losses.settings import require
 from losses.terms import ActorTerm, TermValue
 
-EnsembleValue = Literal["min", "mean"]
+CriticReduction = Literal["min", "mean"]
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class SoftValue(ActorTerm):
         SettingError: for an unknown ``value``.
     """
 
-    value: EnsembleValue = "min"
+    value: CriticReduction = "min"
     name: str = "rl"
 
     reinforces: ClassVar[bool] = True

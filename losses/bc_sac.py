@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor
 
 from losses import functional as F
-from losses.actor import EnsembleValue, SoftValue
+from losses.actor import CriticReduction, SoftValue
 from losses.critic import SoftTD, TargetAction
 from losses.imitation import Emphasis, ErrorName, Imitation, QFilter, RowWeight
 from losses.objective import Objective
@@ -159,7 +159,7 @@ class BCSACLoss(Objective):
         imitation: ErrorName = "nll",
         action_margin: float = 1e-2,
         target_subset: int | None = None,
-        actor_value: EnsembleValue = "min",
+        actor_value: CriticReduction = "min",
         target_action: TargetAction = "sample",
         entropy_in_target: bool = True,
         rl_on_demos: bool = False,
@@ -233,7 +233,7 @@ class BCSACLoss(Objective):
 
 
 def _row_weights(
-    emphasis: Callable[[TensorDictBase], Tensor] | None, q_filter: bool, value: EnsembleValue
+    emphasis: Callable[[TensorDictBase], Tensor] | None, q_filter: bool, value: CriticReduction
 ) -> tuple[RowWeight, ...]:
     by_state = () if emphasis is None else (Emphasis(emphasis),)
     return (*by_state, QFilter(value)) if q_filter else by_state

@@ -14,10 +14,10 @@ from torch import Tensor
 from torchrl.modules import TanhNormal
 
 from losses import functional as F
-from losses.actor import EnsembleValue
+from losses.actor import CriticReduction
 from losses.batch import Batch
 from losses.imitation_errors import IMITATION_ERRORS, clamp_to_support
-from losses.passes import ActorPass, Demonstrations
+from losses.passes import ActorPass, DemonstratedRows
 from losses.rules import WeightRule
 from losses.schedules import ConstantWeight, Schedule
 from losses.settings import require
@@ -32,7 +32,7 @@ FORMER_NAMES = {"bc": "bc_nll", "grad_cosine_bc": "grad_cosine"}
 class RowWeight(Protocol):
     """Factors on the imitation errors of the rows: how much each demonstrated step counts."""
 
-    def __call__(self, seen: Demonstrations) -> Tensor:
+    def __call__(self, seen: DemonstratedRows) -> Tensor:
         """Return ``[D]``, numbers or bool; those of rows that are no demonstrations are unused."""
 
 
@@ -46,7 +46,7 @@ class Emphasis:
 
     of: Callable[[TensorDictBase], Tensor]
 
-    def __call__(self, seen: Demonstrations) -> Tensor:
+    def __call__(self, seen: DemonstratedRows) -> Tensor:
         """Return the factors ``[D]``."""
         return self.of(seen.batch.data)
 
@@ -61,14 +61,14 @@ class QFilter:
         value: which of the critics' values are compared, their ``"min"`` or ``"mean"``.
     """
 
-    value: EnsembleValue = "min"
+    value: CriticReduction = "min"
 
     def __post_init__(self) -> None:
         """Validate the settings."""
         require("value", self.value, self.value in F.ENSEMBLE_VALUES, "min or mean")
 
     @torch.no_grad()
-    def __call__(self, seen: Demonstrations) -> Tensor:
+    def __call__(self, seen: DemonstratedRows) -> Tensor:
         """Return ``[D]`` bool."""
         critic, batch = seen.networks.critic, seen.batch
         shown, own = (

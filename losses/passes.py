@@ -62,7 +62,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Demonstrations:
+class DemonstratedRows:
     """D rows of the batch that include all demonstrations, and the policy in their states.
 
     Attributes:
@@ -99,10 +99,10 @@ class ActorPass:
         return Sample(self.batch.observation[rows], action, log_prob)
 
     @cached_property
-    def demonstrations(self) -> Demonstrations:
+    def demonstrations(self) -> DemonstratedRows:
         """The rows after those for reinforcement; all rows, if the batch is not sorted so."""
         if isinstance(self.rows, slice) and isinstance(self.policy, SquashedNormal):
             # After them are demonstrations alone, before them none.
             others = slice(self.rows.stop, None)
-            return Demonstrations(self.networks, self.policy[others], self.batch[others])
-        return Demonstrations(self.networks, self.policy, self.batch)
+            return DemonstratedRows(self.networks, self.policy[others], self.batch[others])
+        return DemonstratedRows(self.networks, self.policy, self.batch)

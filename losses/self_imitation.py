@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.modules import TanhNormal
 
 from losses import functional as F
-from losses.actor import EnsembleValue
+from losses.actor import CriticReduction
 from losses.imitation import ErrorName
 from losses.imitation_errors import IMITATION_ERRORS, clamp_to_support
 from losses.passes import ActorPass, Networks
@@ -55,7 +55,7 @@ class SelfImitation(ActorTerm):
     gamma: float = 0.99
     error: ErrorName = "nll"
     margin: float = 1e-2
-    value: EnsembleValue = "min"
+    value: CriticReduction = "min"
     entropy: bool = True
     bootstrap: bool = True
     cap: float | None = None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from torchrl.envs import EnvBase
 from torchrl.modules import ProbabilisticActor
 
 from envs import Task
+from envs.whole_files import whole_file
 from pipeline import components
 from pipeline.act.policy_wrappers import acting_policy
 from pipeline.compute import hidden_dtype
@@ -25,7 +25,7 @@ from pipeline.files.checkpoint import (
     trained_frames,
 )
 from pipeline.files.run_format import require_plain
-from pipeline.files.sums import DamagedError, flush
+from pipeline.files.sums import DamagedError
 from pipeline.learn.networks import ActorSettings, CriticSettings, ObservationNormalizer
 from pipeline.recipe import Recipe
 
@@ -69,7 +69,7 @@ def load_policy(
         return policy.eval(), PolicyOrigin(WEIGHTS, _load_weights(policy, weights))
     checkpoint = latest_checkpoint(run_dir)
     load_component(checkpoint, "policy", policy)
-    frames = 0 if recipe.offline else trained_frames(checkpoint)
+    frames = recipe.budget.frames(trained_frames(checkpoint))
     return policy.eval(), PolicyOrigin(checkpoint.name, frames)
 
 
@@ -98,15 +98,10 @@ def _untrained(recipe: Recipe, env: EnvBase) -> TensorDictModuleBase:
 
 def save_weights(actor: TensorDictModuleBase, path: Path, *, frames: int) -> None:
     """Writes the weights as safetensors, which hold tensors and nothing that runs."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     metadata = {FRAMES: str(frames), DIGEST: _digest(actor, frames)}
-    try:
+    with whole_file(path) as temporary:
         save_model(actor, str(temporary), metadata=metadata)
         _with_usual_mode(temporary)
-        flush(temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _with_usual_mode(path: Path) -> None:

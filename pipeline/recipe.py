@@ -26,7 +26,7 @@ from envs.rewards import rewarded
 from pipeline.act.evaluation import EvaluationSettings
 from pipeline.act.policy_wrappers import ProposalSettings
 from pipeline.act.randomise import RandomiseSettings
-from pipeline.budget import CollectorSettings
+from pipeline.budget import Budget, CollectorSettings
 from pipeline.data.admission import GrowthSettings
 from pipeline.data.curriculum import CurriculumSettings
 from pipeline.data.demonstrations import DemosSettings
@@ -154,6 +154,13 @@ class Recipe:
             horizon=env.horizon,
         )
         return replace(options, **given)
+
+    @property
+    def budget(self) -> Budget:
+        """How far the run goes."""
+        if self.offline:
+            return Budget("bc.updates", self.bc.updates, "updates of cloning", False)
+        return Budget("collector.total_frames", self.collector.total_frames, "frames", True)
 
     @property
     def uses_demonstrations(self) -> bool:

@@ -1,6 +1,6 @@
-"""Keys that had other names: command lines and run directories of before keep working.
+"""Keys that had other names: published run directories of before mean what they did.
 
-Every entry may go one release after it came; ``CHANGELOG.md`` says when that was.
+Command lines know one of them for one release, ``env.name`` (:data:`ALIASES`).
 """
 
 from __future__ import annotations
@@ -21,34 +21,23 @@ RENAMED: Final[Mapping[str, str]] = {
     "loss.bc_emphasis.angle": "loss.bc_emphasis.progress",
     "growth.admission.min_angle": "growth.admission.min_progress",
 }
-"""New name by old name; values mean the same."""
+"""New name by old name, each in a ``config.yaml`` of ``docs/results/policies``; values mean the
+same."""
 IMPLIED: Final[Mapping[str, Mapping[str, object]]] = {
     # The bonus of a door grew up to 1.5 rad, and an angle was what made an episode good.
     "loss.angle_bonus": {"loss.progress_bonus_cap": 1.5},
     "growth.admission.min_angle": {"growth.admission.success": False},
 }
 """What else an old key meant."""
+ALIASES: Final[Mapping[str, str]] = {"env.name": "task.name"}
+"""Those that a command line may still use. It may go one release after it came; ``CHANGELOG.md``
+says when that was."""
 
 
-def rename_overrides(overrides: list[str]) -> tuple[list[str], dict[str, str]]:
-    """Overrides of a command line under today's names.
-
-    Args:
-        overrides: ``key=value``; others are left as they are.
-
-    Returns:
-        The overrides, and the new name of each old one that was found.
-    """
-    renamed, found = [], {}
-    for override in overrides:
-        key, separator, value = override.partition("=")
-        if separator and key in RENAMED:
-            found[key] = RENAMED[key]
-            implied = IMPLIED.get(key, {})
-            renamed += [f"{RENAMED[key]}={value}", *(f"{k}={v}" for k, v in implied.items())]
-        else:
-            renamed.append(override)
-    return renamed, found
+def rename_override(override: str) -> str:
+    """A ``key=value`` of a command line under today's name; anything else as it is."""
+    key, separator, value = override.partition("=")
+    return f"{ALIASES[key]}={value}" if separator and key in ALIASES else override
 
 
 def rename_keys(config: dict[str, Any]) -> dict[str, Any]:

@@ -97,7 +97,7 @@ def require_budget(recipe: Recipe, frames: int, run_dir: Path, changed: Changes)
     Raises:
         RunDirectoryError: If the run has passed the budget that is asked for.
     """
-    key = "bc.updates" if recipe.offline else "collector.total_frames"
+    key = recipe.budget.key
     if key in changed and changed[key][1] < frames:
         raise RunDirectoryError(
             f"{run_dir} has {frames} frames already, and {key}={changed[key][1]} asks for fewer: "

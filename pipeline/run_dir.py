@@ -1,42 +1,33 @@
-"""The directory of a run: configuration, versions, logs, checkpoints, evaluations."""
+"""The directory of a run: made, and its recipe written and read."""
 
 from __future__ import annotations
 
 import json
-import os
-import re
 from collections.abc import Mapping, Sequence
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from pipeline.dotted import nest
+from pipeline.files.config_file import HISTORY, read_config, saved_values
 from pipeline.files.run_files import (
     CONFIG,
-    PLACES,
-    TRUST,
     VERSIONS,
     RunDirectoryError,
-    read_summed,
     versions,
     with_sum,
     write_atomically,
 )
-from pipeline.files.run_format import latest_of, require_plain
+from pipeline.files.run_format import latest_of
 from pipeline.files.run_lock import is_locked
-from pipeline.literals import LITERAL, TASK_KEY, literal
+from pipeline.overrides import overridden
 from pipeline.recipe import Recipe
-from pipeline.renamed import rename_keys, rename_overrides
-from pipeline.settings import SettingsError, plain
+from pipeline.renamed import rename_override
+from pipeline.settings import SettingsError
+from pipeline.trust import require_trusted
 
-DEPTH = 32
-"""Of the deepest nesting that is read."""
 IDENTITY = ("variant", "preset", "seed")
 """Keys that say which run it is."""
-HISTORY = "history"
-"""In config.yaml, beside the values: when a resume changed which of them."""
 
 
 def create_run_dir(path: Path, recipe: Recipe) -> None:
@@ -77,17 +68,16 @@ def existing(path: Path) -> str:
             f"Run directory {path} exists: a run that ended before its first checkpoint. Start it "
             f"again with RESUME={path}, {another}."
         )
-    recipe, frames = saved_recipe(path), int(checkpoint.name.rpartition("-")[2])
-    key = "bc.updates" if recipe.offline else "collector.total_frames"
-    total = recipe.bc.updates if recipe.offline else recipe.collector.total_frames
-    if frames < total:
+    budget, frames = saved_recipe(path).budget, int(checkpoint.name.rpartition("-")[2])
+    if frames < budget.total:
         return (
-            f"Run directory {path} exists: a run at {frames} of {total} frames. Continue it with "
-            f"RESUME={path}, {another}."
+            f"Run directory {path} exists: a run at {frames} of {budget.total} frames. Continue "
+            f"it with RESUME={path}, {another}."
         )
     return (
         f"Run directory {path} exists: a complete run of {frames} frames. Evaluate it with make "
-        f'eval RUN={path}, train it for longer with RESUME={path} ARGS="{key}=...", {another}.'
+        f"eval RUN={path}, train it for longer with RESUME={path} "
+        f'ARGS="{budget.key}=...", {another}.'
     )
 
 
@@ -101,7 +91,7 @@ def save_recipe(path: Path, recipe: Recipe, change: Mapping[str, Any] | None = N
     """
     values = recipe.plain()
     if change is not None:
-        values[HISTORY] = [*_read(path / CONFIG).get(HISTORY, []), dict(change)]
+        values[HISTORY] = [*read_config(path).get(HISTORY, []), dict(change)]
     text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
     write_atomically(path / CONFIG, with_sum(text))
 
@@ -113,9 +103,8 @@ def saved_recipe(run_dir: Path) -> Recipe:
         RunDirectoryError: If there is none, or it is damaged.
         RunFormatError: If it is a link.
     """
-    path = run_dir / CONFIG
     try:
-        return Recipe.of(_values(path), str(path))
+        return Recipe.of(saved_values(run_dir), str(run_dir / CONFIG))
     except SettingsError as error:
         raise RunDirectoryError(str(error)) from error
 
@@ -133,10 +122,9 @@ def load_recipe(run_dir: Path, overrides: Sequence[str] = (), *, training: bool 
             task or objective runs somebody's code of which the command line says nothing.
         RunFormatError: If it is a link.
     """
-    path = run_dir / CONFIG
-    values = _values(path)
+    path, values = run_dir / CONFIG, saved_values(run_dir)
     # Hydra's mark for new keys is not needed here.
-    typed, _ = rename_overrides([override.lstrip("+") for override in overrides])
+    typed = [rename_override(override.lstrip("+")) for override in overrides]
     try:
         recipe = Recipe.of(values, str(path))
         for override in typed:
@@ -145,7 +133,7 @@ def load_recipe(run_dir: Path, overrides: Sequence[str] = (), *, training: bool 
         raise RunDirectoryError(
             f"{error} (with overrides {typed})" if typed else str(error)
         ) from error
-    _require_trusted(recipe, recipe.imports(training=training), typed, path)
+    require_trusted(recipe, recipe.imports(training=training), typed, path)
     _require_itself(typed, path)
     return recipe
 
@@ -159,118 +147,3 @@ def _require_itself(overrides: list[str], where: Path) -> None:
                     f"{where}: what a run was trained as cannot be named anew; leave out "
                     f"{override}" + (", or set evaluation.seed" if key == "seed" else "")
                 )
-
-
-def _values(path: Path) -> dict[str, Any]:
-    """What a recipe is made from, under the names of today."""
-    saved = _read(path)
-    for key in (*PLACES, HISTORY):  # places: of runs made when they stood here too
-        saved.pop(key, None)
-    if "${" in json.dumps(saved, default=str):
-        raise RunDirectoryError(
-            f"{path} holds an interpolation (${{...}}), which no run writes: put its value there."
-        )
-    return rename_keys(saved)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    if not path.exists() and not path.is_symlink():
-        raise RunDirectoryError(f"{path.parent} is not a run directory: it holds no {CONFIG}.")
-    require_plain(path)
-    text = read_summed(path)
-    try:
-        _require_bounded(text, path)
-        saved = yaml.safe_load(text)
-    except RunDirectoryError:
-        raise
-    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date that is none
-        told = " ".join(str(error).split())
-        raise RunDirectoryError(f"{path} is damaged ({told}); restore the file.") from error
-    if not isinstance(saved, dict):
-        raise RunDirectoryError(f"{path} holds no recipe; restore the file.")
-    return saved
-
-
-def _require_bounded(text: str, path: Path) -> None:
-    """Refuses what a few lines of YAML can make that fills the memory or takes hours."""
-    depth = 0
-    for event in yaml.parse(text):
-        if isinstance(event, yaml.AliasEvent):
-            raise RunDirectoryError(f"{path} holds an alias (*name), which no run writes.")
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > DEPTH:
-            raise RunDirectoryError(f"{path} is nested deeper than any that a run writes.")
-
-
-def _require_trusted(
-    recipe: Recipe, imports: Mapping[str, str], overrides: list[str], where: Path
-) -> None:
-    """Refuses to run code that nobody but the run directory names: it may lie within it."""
-    if os.environ.get(TRUST) == "1":
-        return
-    for key, what in imports.items():
-        if not any(override.startswith(f"{key}=") for override in overrides):
-            value = plain(attrgetter(key)(recipe))
-            again = f"TASK={value}" if key == TASK_KEY else f'ARGS="{key}={_typed(value)}"'
-            raise RunDirectoryError(
-                f"{where} asks to import {what!r} ({key}={_typed(value)}), which runs its code. If "
-                f"you trust it, set {TRUST}=1, or name it yourself: {again}"
-            )
-
-
-def _typed(value: Any) -> str:
-    return f"[{','.join(value)}]" if isinstance(value, (list, tuple)) else str(value)
-
-
-class _TypedValues(yaml.SafeLoader):
-    """Values as Hydra reads them where a run is new: YAML has 010 for 8, 1:30 for 90, no for false.
-
-    A number that is none of Python's stays a string, which the key's own type refuses.
-    """
-
-
-_TypedValues.yaml_implicit_resolvers = {}
-for _tag, _form, _first in (
-    ("bool", r"(?i:true|false)", "tTfF"),
-    ("null", r"(?i:null)", "nN"),
-    ("int", r"[-+]?[0-9]+(_[0-9]+)*", "-+0123456789"),
-    ("float", r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))([eE][-+]?[0-9]+)?", "-+.0123456789"),
-    ("float", r"[-+]?(?i:inf|nan)", "-+iInN"),
-):
-    _TypedValues.add_implicit_resolver(
-        f"tag:yaml.org,2002:{_tag}", re.compile(rf"^(?:{_form})$"), list(_first)
-    )
-_TypedValues.add_constructor("tag:yaml.org,2002:int", lambda _, node: int(node.value))
-_TypedValues.add_constructor("tag:yaml.org,2002:float", lambda _, node: float(node.value))
-
-
-def recipe_of(overrides: Sequence[str]) -> Recipe:
-    """The recipe that nothing but ``key=value`` describes, of commands that train nothing.
-
-    Raises:
-        SettingsError: If one is not possible.
-    """
-    recipe = Recipe()
-    for override in overrides:
-        recipe = overridden(recipe, override.lstrip("+"))
-    return recipe
-
-
-def overridden(recipe: Recipe, override: str) -> Recipe:
-    """The recipe with one ``key=value`` on top.
-
-    Raises:
-        SettingsError: If it has another form, or the key or value is not possible.
-    """
-    name, separator, text = override.partition("=")
-    if not separator:
-        raise SettingsError(f"{override!r} is not of the form key=value")
-    try:
-        change: Any = (
-            literal(text) if name in LITERAL or not text else yaml.load(text, _TypedValues)
-        )
-    except (yaml.YAMLError, ValueError) as error:
-        told = " ".join(str(error).split())
-        raise SettingsError(f"{override!r}: its value cannot be read ({told})") from error
-    return recipe.changed(**nest(name, change))

@@ -16,7 +16,7 @@ from configs import prepare, recipe_of, require_known
 from envs.task import TaskFailedError
 from pipeline.build import build_run
 from pipeline.learn.own_terms import KEY as OWN_TERMS
-from pipeline.machine.disk import told
+from pipeline.machine.disk import training_stopped_by
 from pipeline.machine.interruption import Interrupted, Interruption, interruption
 from pipeline.machine.memory import told_memory
 from pipeline.machine.sweep import note, sweep
@@ -80,7 +80,7 @@ def _failure(config: DictConfig) -> tuple[int, str] | None:
     except (ValueError, FileNotFoundError, TaskFailedError) as error:
         return 1, str(error)
     except OSError as error:
-        return 1, told(error)
+        return 1, training_stopped_by(error)
     except OmegaConfBaseException as error:
         return 1, f"in the configuration: {error}"
     except (MemoryError, RuntimeError) as error:

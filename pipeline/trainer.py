@@ -120,7 +120,7 @@ def make_trainer(
     trainer._log_dict = defaultdict(lambda: deque(maxlen=1))
     trainer.register_module("time_use", time_use)
     PortionGuard().register(trainer)
-    ProgressHook("updates of cloning" if recipe.offline else "frames").register(trainer)
+    ProgressHook(recipe.budget.unit).register(trainer)
     # Before an evaluation and a checkpoint; collecting waits for the updates in any case.
     trainer.register_op("post_steps", trainer.optimization_stepper.settle)
     trainer.register_op("post_steps", lambda: trainer.request_stop() if stop.made else None)

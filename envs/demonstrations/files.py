@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from envs.demonstrations import hdf5_probe, limits
 from envs.demonstrations.children import run_child
 from envs.demonstrations.errors import DemonstrationError
+from envs.one_line import kind_and_text
 
 DAMAGED = "It is truncated or of another format: download or record it again"
 
@@ -233,8 +234,7 @@ def read_npz(path: Path | IO[bytes], where: str) -> dict[str, NDArray[Any]]:
 
 def one_line(error: BaseException) -> str:
     """Kind and text of somebody else's exception, short enough for a message."""
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text[:200]}{'...' if len(text) > 200 else ''}"
+    return kind_and_text(error, most=200)
 
 
 def _require_npy(archive: zipfile.ZipFile, member: zipfile.ZipInfo, where: str) -> None:

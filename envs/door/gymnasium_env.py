@@ -13,8 +13,6 @@ from envs.adroit.simulator import HandSimulator
 from envs.door import task
 from envs.door.hand import DOOR, DOOR_POSITION
 
-GYMNASIUM_ID = "AdroitDoor-v0"
-
 
 class AdroitDoorEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """One door; `gymnasium.make("AdroitDoor-v0")` after `import envs`.

@@ -14,6 +14,7 @@ from envs.flatten import Flattener
 from envs.library import calls
 from envs.library.memory import require_memory
 from envs.library.state import OwnStateError, require_same, restore_state, save_state
+from envs.one_line import kind_and_text
 from envs.task import TaskFailedError
 
 Array = NDArray[Any]
@@ -206,8 +207,7 @@ class Copies:
         copy = self._named(i)
         if isinstance(error, calls.OtherApiError):
             return TaskFailedError(f"{copy} {when}: {error}")
-        told = " ".join(f"{type(error).__name__}: {error}".split())
-        return TaskFailedError(f"{copy} raised {when}: {told}")
+        return TaskFailedError(f"{copy} raised {when}: {kind_and_text(error)}")
 
     def _named(self, i: int) -> str:
         return f"task {self.layout.name}: copy {self.first + i}"

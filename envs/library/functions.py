@@ -6,6 +6,7 @@ import importlib
 from collections.abc import Callable
 from typing import Any, Final
 
+from envs.one_line import kind_and_text
 from envs.user_files import import_file
 
 FORM: Final = "path.py:function"
@@ -38,7 +39,7 @@ def load_class(key: str, where: str) -> Callable[..., Any]:
         found = importlib.import_module(module)
     # Whatever an imported module raises is told in one line.
     except Exception as error:
-        raise ValueError(f"{key}: cannot import {module!r} ({_told(error)})") from error
+        raise ValueError(f"{key}: cannot import {module!r} ({kind_and_text(error)})") from error
     return _callable(f"{key}={where}", found, name)
 
 
@@ -49,7 +50,3 @@ def _callable(asked: str, module: Any, name: str) -> Callable[..., Any]:
         raise ValueError(f"{asked}: there is no {name!r}; found: {', '.join(offered) or 'nothing'}")
     made: Callable[..., Any] = found
     return made
-
-
-def _told(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}".splitlines()[0]

@@ -18,6 +18,7 @@ from envs.library.copies import Copies
 from envs.library.probe import Probed
 from envs.library.resimulation import Resimulation
 from envs.library.vector_env import VectorEnv
+from envs.one_line import kind_and_text
 from envs.pictures import (
     HUMAN,
     RGB,
@@ -149,8 +150,9 @@ def _asked(name: str, env: gymnasium.Env[Any, Any]) -> Any:
         return env.render()
     # Whatever somebody's environment raises, or its library of graphics, is told in one line.
     except Exception as error:
-        told = " ".join(f"{type(error).__name__}: {error}".split())
-        raise RenderingUnavailableError(f"task {name} shows no picture ({told})") from error
+        raise RenderingUnavailableError(
+            f"task {name} shows no picture ({kind_and_text(error)})"
+        ) from error
 
 
 def _envs(env: EnvBase) -> Envs:

@@ -26,6 +26,7 @@ from envs.library.single import Env, SingleEnv, quiet
 from envs.library.starts import StartState, start_state
 from envs.library.state import OwnStateError, continues_exactly, offers_state
 from envs.library.vector_env import Interface
+from envs.one_line import kind_and_text
 from envs.options import TaskOptions
 from envs.task import TaskFailedError
 
@@ -236,5 +237,6 @@ def _tried(name: str, use: Callable[[], Any], when: str = "when tried") -> Any:
         raise TaskFailedError(f"task {name}: {error}") from error
     # Whatever somebody's environment raises is told in one line.
     except Exception as error:
-        told = " ".join(f"{type(error).__name__}: {error}".split())
-        raise TaskFailedError(f"task {name}: the environment raised {when}: {told}") from error
+        raise TaskFailedError(
+            f"task {name}: the environment raised {when}: {kind_and_text(error)}"
+        ) from error

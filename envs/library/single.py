@@ -16,6 +16,7 @@ from gymnasium.wrappers import TimeLimit
 
 from envs.library.files import make_from_file
 from envs.library.functions import load_class
+from envs.one_line import kind_and_text
 from envs.options import TaskOptions
 from envs.pictures import backend_named
 from envs.registry import FORMS, UnknownTaskError
@@ -69,14 +70,15 @@ class SingleEnv:
             except Exception as error:
                 given = f" with task.kwargs={arguments}" * bool(arguments)
                 raise UnknownTaskError(
-                    f"cannot make environment {self.name!r}{given} ({_told(error)}); valid: {FORMS}"
+                    f"cannot make environment {self.name!r}{given} "
+                    f"({kind_and_text(error)}); valid: {FORMS}"
                 ) from error
             for where, wrapper in zip(self.options.wrappers, wrappers, strict=True):
                 try:
                     env = wrapper(env)
                 except Exception as error:
                     raise ValueError(
-                        f"task.wrappers: {where} cannot wrap {self.name} ({_told(error)})"
+                        f"task.wrappers: {where} cannot wrap {self.name} ({kind_and_text(error)})"
                     ) from error
         return env
 
@@ -138,7 +140,3 @@ def quiet(name: str) -> Iterator[None]:
         absl.setLevel(level)
         for line in [*said.getvalue().splitlines(), *(str(w.message) for w in warned)]:
             _logger.debug("%s: %s", name, line)
-
-
-def _told(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())

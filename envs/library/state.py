@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from envs.library.layers import layers
 from envs.library.plain import as_arrays, like
+from envs.one_line import kind_and_text
 
 Array = NDArray[Any]
 Env = gymnasium.Env[Any, Any]
@@ -234,8 +235,7 @@ def _set_own_state(env: Env, state: Mapping[str, Array]) -> None:
 
 
 def _failed(name: str, error: Exception) -> OwnStateError:
-    told = " ".join(f"{type(error).__name__}: {error}".split())
-    return OwnStateError(f"{name} failed ({told})")
+    return OwnStateError(f"{name} failed ({kind_and_text(error)})")
 
 
 def _mujoco_state(env: Env) -> dict[str, Array]:

@@ -21,9 +21,9 @@ from pipeline.act.exploration import EpisodeNoise, require_noise_scale
 from pipeline.act.metrics import Rollouts, plain, summarise
 from pipeline.act.policy_wrappers import through, unwrapped
 from pipeline.act.recorder import SeesSteps
+from pipeline.finite import require_finite_step
 from pipeline.machine.random_state import kept_random_state
 from pipeline.machine.threads import one_torch_thread
-from pipeline.non_finite import require_finite_step
 from pipeline.settings import STRICT, Count, NotNegative, Positive, Seed
 
 Exploration = Literal["mean", "sample"]

@@ -16,7 +16,7 @@ from envs import Task
 from envs.pictures import Picture, Render
 from pipeline.film.choice import Choice
 from pipeline.film.overlay import Scale, annotated, beside
-from pipeline.film.performers import Performer, PolicyPerformer, Run, performer
+from pipeline.film.performers import LoadedRun, Performer, PolicyPerformer, performer
 from pipeline.film.takes import Moment, stride
 from pipeline.film.writers import open_film, require_format
 
@@ -67,7 +67,7 @@ def film(
     require_format(out)
     choice = choice or Choice()
     picture = picture or Picture()
-    run = Run.of(run_dir, overrides)
+    run = LoadedRun.of(run_dir, overrides)
     render: Render = run.task.require("render", "make video")
     if choice.needs_list:
         run.task.require("starts", choice.needs_list)

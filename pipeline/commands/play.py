@@ -11,7 +11,7 @@ from envs.pictures import HUMAN, SCREENS, Render, RenderingUnavailableError, wit
 from pipeline import components
 from pipeline.act.evaluation import reset_td
 from pipeline.film.choice import Choice
-from pipeline.film.performers import Run
+from pipeline.film.performers import LoadedRun
 from pipeline.policy import load_policy
 
 
@@ -40,7 +40,7 @@ def play(
         MissingCapabilityError: If the task cannot be filmed.
         ValueError: If it cannot be watched live.
     """
-    run = Run.of(run_dir, overrides)
+    run = LoadedRun.of(run_dir, overrides)
     render: Render = run.task.require("render", "make play")
     if render.window is None:
         raise ValueError(

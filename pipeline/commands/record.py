@@ -16,18 +16,18 @@ from tensordict import TensorDictBase
 from envs.demonstrations import Episode, Provenance, find_writer, write_demonstrations
 from envs.task import PROGRESS, SUCCESS
 from pipeline.act.rollouts import rollout_waves
-from pipeline.commands.acting import Acting
+from pipeline.commands.demonstrator import Demonstrator
 from pipeline.data.episodes import FinishedEpisode
 from pipeline.files.run_files import versions
 
 
 def record_demonstrations(
-    acting: Acting, out: str | Path, *, episodes: int, attempts: int, seed: int
+    demonstrator: Demonstrator, out: str | Path, *, episodes: int, attempts: int, seed: int
 ) -> dict[str, Any]:
     """Rolls a policy out and writes its first ``episodes`` good episodes.
 
     Args:
-        acting: Who acts where, and what is good.
+        demonstrator: Who acts where, and what is good.
         out: See `envs.demonstrations.write_demonstrations`.
         episodes: How many to keep.
         attempts: How many episodes to try at most.
@@ -41,11 +41,11 @@ def record_demonstrations(
         DemonstrationError: If ``out`` names no format.
     """
     find_writer(out)  # now, not after minutes of episodes
-    task, recipe = acting.task, acting.recipe
+    task, recipe = demonstrator.task, demonstrator.recipe
     good: list[FinishedEpisode] = []
     tried = 0
     waves = rollout_waves(
-        acting.policy,
+        demonstrator.policy,
         task=task,
         episodes=attempts,
         seed=seed,
@@ -53,21 +53,22 @@ def record_demonstrations(
     )
     with closing(waves):
         for wave in waves:
-            good += [episode for episode in wave if acting.admits(episode)]
+            good += [episode for episode in wave if demonstrator.admits(episode)]
             tried += len(wave)
             if len(good) >= episodes:
                 break
     if len(good) < episodes:
         raise ValueError(
-            f"{acting.name}: only {len(good)} of {tried} episodes passed {acting.admission}, "
-            f"{episodes} are wanted; train longer, raise attempts or ask for fewer."
+            f"{demonstrator.name}: only {len(good)} of {tried} episodes passed "
+            f"{demonstrator.admission}, {episodes} are wanted; train longer, raise attempts or ask "
+            "for fewer."
         )
     kept = good[:episodes]
     card = {
-        "made_by": f"{acting.made_by} (seed {seed})",
-        "policy": acting.card,
+        "made_by": f"{demonstrator.made_by} (seed {seed})",
+        "policy": demonstrator.card,
         "action": "mean",
-        "admission": acting.admission,
+        "admission": demonstrator.admission,
         "attempts": tried,
         "admitted": len(good),
         "kept": len(kept),
@@ -76,7 +77,7 @@ def record_demonstrations(
         "max_progress_mean": _mean_progress(kept),
         "versions": versions(),
     }
-    write_demonstrations(out, _as_episodes(kept, acting), card, schema=task.demos)
+    write_demonstrations(out, _as_episodes(kept, demonstrator), card, schema=task.demos)
     return card
 
 
@@ -86,12 +87,14 @@ def _mean_progress(kept: Sequence[FinishedEpisode]) -> float | None:
     return None if math.isnan(mean) else mean
 
 
-def _as_episodes(finished: Sequence[FinishedEpisode], acting: Acting) -> list[Episode]:
+def _as_episodes(finished: Sequence[FinishedEpisode], demonstrator: Demonstrator) -> list[Episode]:
     episodes = []
-    demos = acting.task.demos
+    demos = demonstrator.task.demos
     keys = () if demos is None else demos.start
     by: dict[str, str] = {
-        key: acting.card[key] for key in ("checkpoint", "controller") if key in acting.card
+        key: demonstrator.card[key]
+        for key in ("checkpoint", "controller")
+        if key in demonstrator.card
     }
     for i, episode in enumerate(finished):
         steps = episode.trajectory
@@ -102,7 +105,7 @@ def _as_episodes(finished: Sequence[FinishedEpisode], acting: Acting) -> list[Ep
                 actions=steps["action"].cpu().numpy(),
                 rewards=steps["next", "reward"].squeeze(-1).cpu().numpy(),
                 terminated=steps["next", "terminated"].squeeze(-1).cpu().numpy(),
-                provenance=Provenance(acting.name, i, "policy", by),
+                provenance=Provenance(demonstrator.name, i, "policy", by),
                 start={
                     # A seed is a bare number in an environment.
                     key.name: steps[key.name][0].double().cpu().numpy().reshape(key.size)

@@ -18,12 +18,9 @@ from pipeline.act.evaluation import Evaluator
 from pipeline.commands.evaluate_run import made_from
 from pipeline.compute import require_device
 from pipeline.policy import load_policy
-from pipeline.results.robustness import Ladder, Measured, Robustness
+from pipeline.results.robustness import BAR, EPISODES, Ladder, Measured, Robustness
 from pipeline.run_dir import load_recipe
 
-EPISODES: Final = 200
-"""Of a setting: a share of 0.9 has an interval of +- 0.04."""
-BAR: Final = 0.9
 OBSERVATION_NOISE: Final = (0.005, 0.01, 0.02, 0.05)
 ACTION_NOISE: Final = (0.05, 0.1, 0.2)
 DELAYS: Final = (1, 2, 3, 4, 5)
@@ -72,7 +69,7 @@ def robustness(
     episodes: int = EPISODES,
     bar: float = BAR,
     kinds: Sequence[str] = (),
-    told: Callable[[str], None] = lambda _: None,
+    report: Callable[[str], None] = lambda _: None,
 ) -> Robustness:
     """Plays the same episodes under every setting.
 
@@ -82,7 +79,7 @@ def robustness(
         episodes: Of each setting.
         bar: Success below which a setting breaks the policy, in (0, 1].
         kinds: Of ladders to climb; none names all.
-        told: Takes a line for each setting.
+        report: Takes a line for each setting.
 
     Raises:
         RunDirectoryError, FileNotFoundError, ValueError: As ``load_recipe`` and ``load_policy`` do;
@@ -99,13 +96,13 @@ def robustness(
     def measured(setting: str, changed: Task) -> Measured:
         evaluator = components.make_evaluator(recipe, changed, episodes=episodes)
         found = _measure(setting, evaluator, policy)
-        told(f"{setting}: {found.text}")
+        report(f"{setting}: {found.text}")
         return found
 
     undisturbed = measured("undisturbed", task)
     ladders = []
     for plan in chosen:
-        told(plan.what)
+        report(plan.what)
         rungs = [_climbed(rung, task, measured) for rung in plan.rungs]
         ladders.append(Ladder(plan.kind, plan.what, tuple(rungs)))
     return Robustness(

@@ -19,7 +19,7 @@ from envs import Task
 from envs.pictures import Picture, Render
 from pipeline.files.run_files import write_atomically
 from pipeline.film.overlay import GREEN, SHADE, WHITE, fit, font
-from pipeline.film.performers import Opens, PolicyPerformer, Run, performer
+from pipeline.film.performers import LoadedRun, Opens, PolicyPerformer, performer
 from pipeline.film.takes import Moment
 
 MOST_BYTES: Final = 300_000
@@ -86,7 +86,7 @@ def strip(
     layout = layout or Layout()
     if out.suffix.lower() != ".png":
         raise ValueError(f"OUT={out}: a strip is a .png")
-    found = [Run.of(path, overrides) for path in runs]
+    found = [LoadedRun.of(path, overrides) for path in runs]
     task = found[0].task
     names = {run.task.name for run in found}
     if len(names) > 1:
@@ -113,7 +113,7 @@ def strip(
     return len(data)
 
 
-def _every(layout: Layout, run: Run) -> int:
+def _every(layout: Layout, run: LoadedRun) -> int:
     """Control steps between two columns."""
     limits = (
         layout.until,

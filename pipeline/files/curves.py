@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeGuard
 
+from envs.whole_files import whole_file
 from pipeline.files.run_files import ALARMS, LEARNING_CURVE, write_atomically
 
 _logger = logging.getLogger(__name__)
@@ -126,11 +127,9 @@ def _cut_events(path: Path, kept: Callable[[int], bool]) -> None:
     stays = [not event.HasField("summary") or kept(event.step) for event in events]
     if all(stays):
         return
-    temporary = path.with_name(f".{path.name}.tmp")
-    with temporary.open("wb") as file:
+    with whole_file(path) as temporary, temporary.open("wb") as file:
         writer = RecordWriter(file)
         for record, stay in zip(records, stays, strict=True):
             if stay:
                 writer.write(record)
         writer.flush()
-    temporary.replace(path)

@@ -18,7 +18,7 @@ def where_and_what(error: OSError) -> str:
     return f"{where}{error.strerror or error}"
 
 
-def told(error: OSError) -> str:
+def with_remedy(error: OSError) -> str:
     """The error in one line, with the remedy if the disk is full."""
     if not is_full(error):
         return str(error)

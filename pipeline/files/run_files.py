@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.files.sums import flush
+from envs.whole_files import whole_file
 
 CONFIG = "config.yaml"
 PLACES = ("run_dir", "resume")
@@ -34,6 +34,18 @@ TEXT_BYTES = 2**20
 
 class RunDirectoryError(ValueError):
     """The run directory cannot be used; the message names it and the remedy."""
+
+
+def config_of(run_dir: Path) -> Path:
+    """``config.yaml`` of a run directory.
+
+    Raises:
+        RunDirectoryError: If there is none.
+    """
+    path = run_dir / CONFIG
+    if not path.exists() and not path.is_symlink():
+        raise RunDirectoryError(f"{run_dir} is not a run directory: it holds no {CONFIG}.")
+    return path
 
 
 def versions() -> dict[str, Any]:
@@ -61,16 +73,8 @@ def write_atomically(path: Path, text: str | bytes) -> None:
     Raises:
         OSError: If it cannot be written; it names ``path``.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with whole_file(path) as temporary:
         temporary.write_bytes(text.encode() if isinstance(text, str) else text)
-        flush(temporary)
-        temporary.replace(path)
-    except OSError as error:
-        # A write that finds no room names no file, and the temporary's name would help nobody.
-        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def with_sum(text: str) -> str:

@@ -20,6 +20,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final
 
+from envs.whole_files import flush
+
 SUMS: Final = "sums.json"
 SUMS_BYTES: Final = 16 * 2**20
 _THREADS: Final = 8
@@ -93,15 +95,6 @@ def _exchanged(one: Path, other: Path) -> bool:
     if _renameat2 is None:
         return False
     return _renameat2(_HERE, os.fsencode(one), _HERE, os.fsencode(other), _EXCHANGE) == 0
-
-
-def flush(path: Path) -> None:
-    """Has the system write a file, or the names in a folder, through to the disk."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def flush_below(folder: Path) -> None:

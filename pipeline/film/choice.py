@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from pipeline.files.run_files import EVALUATION, RunDirectoryError
-from pipeline.recipe import Recipe
 from pipeline.results import again
 from pipeline.results.evaluation_files import EPISODES, beside, load_columns, load_evaluation
+
+if TYPE_CHECKING:
+    from pipeline.recipe import Recipe
 
 DEFAULT: Final = 3
 """Episodes where nobody says how many."""

@@ -29,7 +29,7 @@ DEMOS: Final = "demos"
 
 
 @dataclass(frozen=True)
-class Run:
+class LoadedRun:
     """A run directory, its recipe and its task."""
 
     path: Path
@@ -65,7 +65,7 @@ Opens = Callable[[Picture, int], AbstractContextManager[Performer]]
 """Makes environment and camera, of so many control steps between two pictures."""
 
 
-def performer(given: str | Path, run: Run, overrides: Sequence[str] = ()) -> Opens:
+def performer(given: str | Path, run: LoadedRun, overrides: Sequence[str] = ()) -> Opens:
     """Who stands beside ``run``.
 
     Args:
@@ -82,7 +82,7 @@ def performer(given: str | Path, run: Run, overrides: Sequence[str] = ()) -> Ope
     if not (Path(given) / CONFIG).is_file():
         return DemonstrationPerformer.opener(run, str(given))
     of_task = [text for text in overrides if text.lstrip("+").startswith("task.")]
-    other = Run.of(Path(given), of_task)
+    other = LoadedRun.of(Path(given), of_task)
     if other.task.name != run.task.name:
         raise ValueError(
             f"WITH={given} is of task {other.task.name} and {run.path} of {run.task.name}: they "
@@ -95,12 +95,12 @@ def performer(given: str | Path, run: Run, overrides: Sequence[str] = ()) -> Ope
 class PolicyPerformer:
     """A policy, as it is evaluated, in episodes of its task's list."""
 
-    run: Run
+    run: LoadedRun
     studio: Studio
     acting: Acting
 
     @classmethod
-    def opener(cls, run: Run) -> Opens:
+    def opener(cls, run: LoadedRun) -> Opens:
         """Opens the camera first: what it lacks is told before a policy is read."""
 
         @contextmanager
@@ -125,13 +125,13 @@ class PolicyPerformer:
 class DemonstrationPerformer:
     """Demonstrations, their actions played again from where they begin."""
 
-    run: Run
+    run: LoadedRun
     studio: Studio
     source: str
     episodes: tuple[Episode, ...]
 
     @classmethod
-    def opener(cls, run: Run, source: str) -> Opens:
+    def opener(cls, run: LoadedRun, source: str) -> Opens:
         """Loads them as ``make demos-check`` does."""
 
         @contextmanager
@@ -200,7 +200,7 @@ def nearest(number: int, episodes: Sequence[Episode], start: dict[str, NDArray[A
 
 
 @contextmanager
-def studio(run: Run, horizon: int | None, picture: Picture, every: int) -> Iterator[Studio]:
+def studio(run: LoadedRun, horizon: int | None, picture: Picture, every: int) -> Iterator[Studio]:
     """One copy of the run's task, and a camera.
 
     Raises:

@@ -16,7 +16,7 @@ from envs.contacts import FORCES
 from envs.pictures import Render, Renderer
 from envs.task import PROGRESS, SUCCESS
 from pipeline.act.strategies import DEFAULT
-from pipeline.non_finite import require_finite_step
+from pipeline.finite import require_finite_step
 
 
 @dataclass(frozen=True)

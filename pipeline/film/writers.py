@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any, Final, Protocol
 import imageio.v2 as imageio
 from numpy.typing import NDArray
 
+from envs.whole_files import whole_file
 from pipeline.film.gif import Gif
 
 MACRO_BLOCK: Final = 16
@@ -72,15 +72,12 @@ def open_film(out: Path, pictures_per_second: float) -> AbstractContextManager[F
 @contextmanager
 def _written(out: Path, pictures_per_second: float) -> Iterator[Film]:
     out.parent.mkdir(parents=True, exist_ok=True)
-    temporary = out.with_name(f".{out.stem}.{os.getpid()}{out.suffix.lower()}")
-    film = FORMATS[out.suffix.lower()](temporary, pictures_per_second)
-    try:
+    suffix = out.suffix.lower()
+    with whole_file(out, suffix) as temporary:
+        film = FORMATS[suffix](temporary, pictures_per_second)
         try:
             yield film
         except BaseException:
             film.abandon()
             raise
         film.finish()
-        temporary.replace(out)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -8,7 +8,8 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torchrl.trainers import Trainer, TrainerHookBase
 
-from pipeline.non_finite import NonFiniteError, finite
+from pipeline.finite import finite
+from pipeline.non_finite import NonFiniteError
 
 TOLD: Final[dict[NestedKey, str]] = {
     "observation": "the environment begins with it: look at its reset()",

@@ -13,7 +13,7 @@ from torchrl.trainers import OptimizationStepper, Trainer
 from losses import Objective
 from pipeline.learn.gradients import ImitationGradients, hand_over
 from pipeline.learn.optimizers import AdamStep, load_adam, make_adam, make_annealing, set_recordable
-from pipeline.learn.update_guard import HEALTH, Network, Update, UpdateGuard
+from pipeline.learn.update_guard import HEALTH, GuardedUpdate, Network, UpdateGuard
 from pipeline.machine.compilation import compiled
 from pipeline.machine.cuda_graphs import recorded
 from pipeline.settings import STRICT, Count, Rate
@@ -73,7 +73,7 @@ class ImitationStepper(OptimizationStepper):
         """
         found = self._update(sub_batch)
         self.updates += 1
-        self.guard.watch(Update(self.updates, found.pop(HEALTH), sub_batch, found))
+        self.guard.watch(GuardedUpdate(self.updates, found.pop(HEALTH), sub_batch, found))
         self.annealing.step()
         return TensorDict(found, device=sub_batch.device)
 

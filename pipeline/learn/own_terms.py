@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from envs.library.functions import load_function
+from envs.one_line import kind_and_text
 from losses.terms import ActorTerm, CriticTerm, Term
 
 KEY: Final = "loss.own_terms"
@@ -30,8 +31,9 @@ def _term(where: str) -> Term:
         term = make()
     # Whatever a user's class or function raises is told in one line.
     except Exception as error:
-        told = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ValueError(f"{KEY}={where}: it cannot be made without arguments ({told})") from error
+        raise ValueError(
+            f"{KEY}={where}: it cannot be made without arguments ({kind_and_text(error)})"
+        ) from error
     if not isinstance(term, ActorTerm | CriticTerm):
         raise ValueError(
             f"{KEY}={where} gives {type(term).__name__}; expected a losses.ActorTerm or CriticTerm"

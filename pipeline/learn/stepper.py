@@ -15,8 +15,7 @@ from torchrl.trainers import OptimizationStepper, Trainer
 from losses import Objective
 from pipeline.learn.gradients import ObjectiveGradients, Weights, hand_over
 from pipeline.learn.optimizers import AdamStep, load_adam, make_adam, make_annealing, set_recordable
-from pipeline.learn.update_guard import HEALTH, Network, UpdateGuard
-from pipeline.learn.update_guard import Update as GuardedUpdate
+from pipeline.learn.update_guard import HEALTH, GuardedUpdate, Network, UpdateGuard
 from pipeline.machine.compilation import compiled
 from pipeline.machine.cuda_graphs import Update, recorded
 

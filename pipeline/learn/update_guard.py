@@ -10,7 +10,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
-from pipeline.non_finite import NonFiniteError, described, finite
+from pipeline.finite import described, finite
+from pipeline.non_finite import NonFiniteError
 
 HEALTH = "finite"
 """Of an update's results: a number that is finite if its losses and parameters are."""
@@ -38,7 +39,7 @@ class Network:
 
 
 @dataclass(frozen=True)
-class Update:
+class GuardedUpdate:
     """One update, and what it came to.
 
     Attributes:
@@ -66,14 +67,14 @@ class UpdateGuard:
 
     def __init__(self, networks: Sequence[Network]) -> None:
         self.networks = networks
-        self._open: deque[tuple[Update, Tensor, torch.cuda.Event]] = deque()
+        self._open: deque[tuple[GuardedUpdate, Tensor, torch.cuda.Event]] = deque()
 
     def health(self, found: Mapping[str, Tensor], parameters: Iterable[Tensor]) -> Tensor:
         """A number [] that is finite if the ``parameters`` and the losses in ``found`` are."""
         losses = [key for network in self.networks for key in network.losses.values()]
         return finite([*(found[key] for key in losses if key in found), *parameters])
 
-    def watch(self, update: Update) -> None:
+    def watch(self, update: GuardedUpdate) -> None:
         """Takes the update that was just made.
 
         Raises:
@@ -103,11 +104,11 @@ class UpdateGuard:
         arrived.synchronize()
         self._judge(update, answer)
 
-    def _judge(self, update: Update, health: Tensor) -> None:
+    def _judge(self, update: GuardedUpdate, health: Tensor) -> None:
         if not health.isfinite():
             raise NonFiniteError(self._explained(update), update.batch)
 
-    def _explained(self, update: Update) -> str:
+    def _explained(self, update: GuardedUpdate) -> str:
         """The earliest of what is not finite: batch; then losses and parameters, by network."""
         at = f"in update {update.number}"
         for key, values in update.batch.items(include_nested=True, leaves_only=True):
@@ -131,7 +132,9 @@ class UpdateGuard:
             f"losses and parameters add up to more than float32 holds {at}: {self._cause(update)}"
         )
 
-    def _of_parameter(self, network: Network, name: str, values: Tensor, update: Update) -> str:
+    def _of_parameter(
+        self, network: Network, name: str, values: Tensor, update: GuardedUpdate
+    ) -> str:
         gradient = network.parameters[name].grad
         norms = [k for k, v in update.found.items() if "grad_norm" in k and not v.isfinite()]
         if norms:
@@ -145,7 +148,7 @@ class UpdateGuard:
             f"{self._cause(update, network.rate)}"
         )
 
-    def _cause(self, update: Update, rate: str = "the learning rates") -> str:
+    def _cause(self, update: GuardedUpdate, rate: str = "the learning rates") -> str:
         sizes = {
             ".".join(key) if isinstance(key, tuple) else key: values.abs().max().item()
             for key, values in update.batch.items(include_nested=True, leaves_only=True)

@@ -1,4 +1,4 @@
-"""A disk that is full: looked at before a checkpoint, and told in one line."""
+"""A disk that is full: looked at before a checkpoint, and said in one line."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def size_of(component: Any) -> int:
     return _bytes(component.state_dict())
 
 
-def told(error: OSError) -> str:
-    """What went wrong at which file, and the remedy, in one line."""
+def training_stopped_by(error: OSError) -> str:
+    """What a training ends with, in one line: what went wrong at which file, and the remedy."""
     said = where_and_what(error)
     if is_full(error):
         return (

@@ -17,6 +17,7 @@ from typing import Any, Final
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from envs.one_line import text_of
 from pipeline.files.run_files import RunDirectoryError, write_atomically
 
 CURVE: Final = "curve."
@@ -51,10 +52,9 @@ def load(names: Sequence[str], path: Path) -> dict[Keys, dict[str, Any]]:
         lines = pq.read_table(path).to_pylist()
         return {tuple(line.pop(name) for name in names): _content(line) for line in lines}
     except (pa.ArrowException, KeyError, TypeError, ValueError) as error:
-        told = " ".join(str(error).split())
         raise RunDirectoryError(
-            f"{path} is damaged, or no file of published runs ({told}); restore it, or remove it "
-            "and publish again"
+            f"{path} is damaged, or no file of published runs ({text_of(error)}); restore it, "
+            "or remove it and publish again"
         ) from error
 
 

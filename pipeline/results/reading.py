@@ -14,6 +14,7 @@ from typing import Any, Final, TypeVar
 
 import yaml
 
+from envs.one_line import text_of
 from pipeline.dotted import flatten
 from pipeline.files.curves import count_no_rows, in_order, read_lines
 from pipeline.files.run_files import (
@@ -150,7 +151,7 @@ class _Reader:
         try:
             return read()
         except BROKEN as error:
-            self.missing.append(" ".join(str(error).split()))
+            self.missing.append(text_of(error))
             return otherwise
 
 

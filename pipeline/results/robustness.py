@@ -21,6 +21,10 @@ from pipeline.results.evaluation import Share, first_fault
 ROBUSTNESS: Final = "robustness.json"
 TABLE: Final = "robustness.md"
 FIGURE: Final = "robustness.png"
+EPISODES: Final = 200
+"""Of a setting, unless another number is asked for: a share of 0.9 has an interval of +- 0.04."""
+BAR: Final = 0.9
+"""Success below which a setting breaks a policy, likewise."""
 CHECKED: Final = ConfigDict(allow_inf_nan=False)
 
 

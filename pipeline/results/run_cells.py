@@ -176,7 +176,7 @@ def _require_its_end(recipe: Recipe, run: EvaluatedRun) -> None:
             f"{run.path}: its {EVALUATION} is older than the run, of {judged} frames or updates "
             f"where it has {reached}; make it again with: {_again(run)}"
         )
-    total = recipe.bc.updates if recipe.offline else recipe.collector.total_frames
+    total = recipe.budget.total
     if judged < total:
         raise RunDirectoryError(
             f"{run.path} has got as far as {judged} of {total} frames or updates; go on with: "

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from tabulate import tabulate
 
-from envs import find_task
+from envs import registry
 from envs.intervals import wilson
 from envs.reference import Column, Reference
 from envs.task import MissingCapabilityError
@@ -64,7 +64,7 @@ def reference_of(evaluations: Sequence[Evaluation]) -> Reference:
     if len(tasks) != 1:
         raise ValueError(f"a table is of one task, and these runs are of {sorted(tasks)}")
     name = tasks.pop()
-    reference: Reference | None = find_task(name).reference
+    reference = registry.reference_of(name)
     if reference is None:
         raise MissingCapabilityError(
             f"make table sets runs beside published rows, and task {name} has none (the "

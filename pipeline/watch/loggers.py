@@ -13,6 +13,7 @@ from pydantic.dataclasses import dataclass as settings
 from torchrl.record.loggers import Logger, get_logger
 from torchrl.record.loggers.mlflow import MLFlowLogger
 
+from envs.one_line import kind_and_text
 from pipeline.files.run_files import RunDirectoryError, write_atomically
 from pipeline.machine.extras import require_extras
 from pipeline.settings import STRICT, Count
@@ -212,10 +213,10 @@ class ResumedMLFlow(MLFlowLogger):
             run = mlflow.start_run(run_id=self._run_id)
         # Its own exceptions, and those of databases and servers.
         except Exception as error:
-            told = " ".join(f"{type(error).__name__}: {error}".split())
             raise RunDirectoryError(
-                f"mlflow cannot go on with run {self._run_id} at {self.log_dir} ({told}); is "
-                f"{MLFLOW_URI} as it was? Without mlflow: logging.loggers=[csv,tensorboard]."
+                f"mlflow cannot go on with run {self._run_id} at {self.log_dir} "
+                f"({kind_and_text(error)}); is {MLFLOW_URI} as it was? "
+                "Without mlflow: logging.loggers=[csv,tensorboard]."
             ) from error
         self.id = run.info.experiment_id
         return run

@@ -17,7 +17,7 @@ KEPT_OUT = ("TRUST", "MAKEFLAGS", "MAKELEVEL", "MFLAGS")
 SERVER = """
 import json, os, runpy, socket, sys, traceback
 import matplotlib, pandas, plotly, jinja2
-import pipeline.build, pipeline.cli, configs
+import pipeline.build, pipeline.commands.evaluate_run, pipeline.cli, configs
 
 listening = socket.socket(socket.AF_UNIX)
 listening.bind(sys.argv[1])

@@ -10,7 +10,7 @@ from torchrl.envs import check_env_specs
 from envs.adroit.simulator import HandSimulator
 from envs.adroit.torchrl_env import HandEnv
 from envs.door.hand import DOOR
-from envs.registry import UnknownTaskError
+from envs.registry import OURS, UnknownTaskError, find_task, reference_of
 from tests.envs.making import make_env
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*settotalmass")
@@ -28,6 +28,11 @@ TASKS = [
 ]
 LIMITED = ["gymnasium:Pendulum-v1", "dm_control:cartpole/swingup", "door", "hammer", "pen"]
 LIMITED += ["relocate"]
+
+
+@pytest.mark.parametrize("name", [*OURS, "gymnasium:Pendulum-v1"])
+def test_published_rows_are_the_task_s(name):
+    assert reference_of(name) is find_task(name).reference
 
 
 @pytest.mark.parametrize(("name", "observed", "acted", "_limit"), TASKS)

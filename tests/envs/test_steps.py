@@ -11,7 +11,7 @@ from envs.demonstrations.multiplication import multiply, multiply_cached
 from envs.door.resimulation import RESIMULATE
 from envs.door.variation import VARY
 from envs.steps import count_steps, counted_steps
-from tests.demonstrations.helpers import still_episode
+from tests.envs.demonstrations.helpers import still_episode
 
 CONFIG = MultiplyConfig(target_episodes=4, round_size=4, min_progress=-1.0, horizon=6)
 

@@ -35,8 +35,8 @@ from pipeline.files.run_format import RunFormatError
 from pipeline.recipe import Recipe
 from pipeline.results.evaluation_files import load_columns, load_evaluation, save_evaluation
 from pipeline.run_dir import load_recipe, save_recipe
-from tests.demonstrations.files_of_others import ROBOMIMIC_SCHEMA, SCHEMA
-from tests.demonstrations.test_mutations import WRITERS, damaged
+from tests.envs.demonstrations.files_of_others import ROBOMIMIC_SCHEMA, SCHEMA
+from tests.envs.demonstrations.test_mutations import WRITERS, damaged
 
 SECONDS = 60.0
 REFUSALS = (DemonstrationError, RunDirectoryError, RunFormatError)

@@ -38,7 +38,7 @@ from pipeline.policy import WEIGHTS, load_policy, save_weights
 from pipeline.recipe import Recipe
 from pipeline.results.evaluation_files import load_evaluation, save_evaluation
 from pipeline.run_dir import load_recipe, save_recipe
-from tests.demonstrations.helpers import still_episode
+from tests.envs.demonstrations.helpers import still_episode
 from tests.faults.damaging import KINDS, Damage, damaged
 from tests.pipeline.toys import built, tiny_config, write_demos
 

@@ -18,11 +18,12 @@ from losses import ActorPass, ActorTerm, Objective, SoftTD, SoftValue, Temperatu
 from pipeline.act.evaluation import run_wave
 from pipeline.compute import require_device
 from pipeline.files.run_files import as_json
+from pipeline.finite import require_finite_step
 from pipeline.hooks import PortionGuard
 from pipeline.learn.imitation import ImitationStepper
 from pipeline.learn.stepper import BCSACStepper
 from pipeline.learn.update_guard import HEALTH
-from pipeline.non_finite import BATCH, NonFiniteError, require_finite_step
+from pipeline.non_finite import BATCH, NonFiniteError
 from pipeline.trainer import Run
 from tests.pipeline import updating
 from tests.pipeline.toys import built, make_batch, make_loss, tiny_config

@@ -12,8 +12,9 @@ from configs import compose
 from pipeline.commands.evaluate_run import evaluate_run
 from pipeline.files.run_files import RunDirectoryError
 from pipeline.machine.memory import told_memory
+from pipeline.overrides import overridden
 from pipeline.recipe import Recipe
-from pipeline.run_dir import create_run_dir, load_recipe, overridden
+from pipeline.run_dir import create_run_dir, load_recipe
 from pipeline.settings import SettingsError
 from tests.pipeline.test_resuming import FILE, stopped
 

@@ -8,14 +8,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from torchrl.checkpoint import Checkpoint
-from torchrl.data import TensorDictReplayBuffer
 
 from envs.door.definition import TASK
 from envs.library.vector_env import VectorEnv
 from pipeline.commands.evaluate_run import evaluate_run
-from pipeline.data.buffers import make_buffer
-from pipeline.files.checkpoint import latest_checkpoint, load_component, make_checkpoint
+from pipeline.files.checkpoint import latest_checkpoint, load_component
 from pipeline.policy import load_policy
 from pipeline.run_dir import load_recipe
 from pipeline.trainer import Run
@@ -28,7 +25,7 @@ from tests.pipeline.resuming import (
     interrupted,
     long_config,
 )
-from tests.pipeline.toys import built, tagged_rows, tiny_config, where
+from tests.pipeline.toys import built, tiny_config, where
 
 
 @pytest.fixture(scope="module")
@@ -102,28 +99,6 @@ def test_a_checkpoint_may_come_before_the_first_good_episode(tmp_path: Path, dem
     again.train()
     assert again.trainer.collected_frames == 40
     assert len(again.trainer._modules["grown_buffer"]) == 0
-
-
-@pytest.mark.parametrize(("stored", "capacity"), [(3, 5), (7, 5), (7, 9)])
-def test_a_ring_goes_on_where_it_was(stored: int, capacity: int, tmp_path: Path):
-    def checkpoint(buffer: TensorDictReplayBuffer) -> Checkpoint:
-        return make_checkpoint(torch.nn.Linear(1, 1), buffer)
-
-    def tags(buffer: TensorDictReplayBuffer) -> list[float]:
-        return buffer[:]["observation"][:, 0].tolist()
-
-    first = make_buffer(5)
-    for tag in range(stored):
-        first.extend(tagged_rows(float(tag), 1))
-    checkpoint(first).save(tmp_path / "saved")
-    second = make_buffer(capacity)
-    second.extend(tagged_rows(99.0, 2))
-    checkpoint(second).load(tmp_path / "saved")
-    assert tags(second) == tags(first)
-    for buffer in (first, second):
-        buffer.extend(tagged_rows(50.0, 1))
-    larger = [5.0, 6.0, 2.0, 3.0, 4.0, 50.0]
-    assert tags(second) == (larger if capacity == 9 else tags(first))
 
 
 @pytest.mark.parametrize(("kept", "frames"), [(1, [WHOLE]), (2, [HALF, WHOLE])])

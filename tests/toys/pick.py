@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 
 from envs import EnvOptions, Task
 from envs.demonstrations.schema import DemoSchema, StartKey
-from pipeline.commands.acting import Acting
+from pipeline.commands.demonstrator import Demonstrator
 from pipeline.commands.record import record_demonstrations
 
 HORIZON, EPISODES = 45, 25
@@ -143,8 +143,8 @@ def controller(observation: Tensor) -> Tensor:
 
 
 def record(path: object, episodes: int = EPISODES) -> None:
-    acting = Acting.of_controller(f"{__file__}:controller", [f"task.name='{__file__}'"])
-    record_demonstrations(acting, str(path), episodes=episodes, attempts=4 * episodes, seed=1)
+    demonstrator = Demonstrator.of_controller(f"{__file__}:controller", [f"task.name='{__file__}'"])
+    record_demonstrations(demonstrator, str(path), episodes=episodes, attempts=4 * episodes, seed=1)
 
 
 def starts(seed: int, first: int, count: int) -> TensorDict:

@@ -11,7 +11,7 @@ from torchrl.envs import EnvBase
 from envs import EnvOptions, Stage, Task
 from envs.demonstrations import Episode
 from envs.demonstrations.schema import DemoSchema, StartKey
-from pipeline.commands.acting import Acting
+from pipeline.commands.demonstrator import Demonstrator
 from pipeline.commands.record import record_demonstrations
 
 HORIZON, SPEED, NEAR = 20, 0.15, 0.1
@@ -80,8 +80,8 @@ def controller(observation: Tensor) -> Tensor:
 
 
 def record(path: object, episodes: int = 6) -> None:
-    acting = Acting.of_controller(f"{__file__}:controller", [f"task.name='{__file__}'"])
-    record_demonstrations(acting, str(path), episodes=episodes, attempts=2 * episodes, seed=1)
+    demonstrator = Demonstrator.of_controller(f"{__file__}:controller", [f"task.name='{__file__}'"])
+    record_demonstrations(demonstrator, str(path), episodes=episodes, attempts=2 * episodes, seed=1)
 
 
 def starts(seed: int, first: int, count: int) -> TensorDict:

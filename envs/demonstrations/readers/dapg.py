@@ -22,6 +22,7 @@ from envs.demonstrations.findings import Notes
 from envs.demonstrations.reading import FileSource, Reader, Record
 from envs.demonstrations.schema import DemoSchema
 from envs.demonstrations.validation import RawEpisode, found_start, require_keys
+from envs.one_line import text_of
 
 _EXPECTED = "Expected the DAPG format: a list of dicts with observations, actions and rewards"
 _SUFFIXES = (".pickle", ".pkl")
@@ -82,7 +83,7 @@ def _unpickled(path: Path) -> dict[str, NDArray[Any]]:
 def _failure(path: Path, code: int, output: bytes) -> DemonstrationError:
     try:
         told = json.loads(output)
-        problem = " ".join(str(told["problem"]).split())
+        problem = text_of(str(told["problem"]))
     except (ValueError, KeyError, TypeError) as error:
         told, problem = {}, f"the reading process ended with code {code}, {one_line(error)}"
     if told.get("whole"):

@@ -13,7 +13,7 @@ import numpy as np
 from envs.demonstrations.episode import Episode
 from envs.demonstrations.matrices import in_file_units
 from envs.demonstrations.schema import DemoSchema
-from envs.demonstrations.writers.hdf5 import whole_file
+from envs.demonstrations.writers.hdf5 import whole_hdf5
 from envs.demonstrations.writing import Writer
 
 
@@ -39,7 +39,7 @@ def write_d4rl(
     Raises:
         OSError: the folder cannot be written.
     """
-    with whole_file(Path(path)) as file:
+    with whole_hdf5(Path(path)) as file:
         file.attrs["card"] = json.dumps(dict(card), sort_keys=True)
         _stack(file, "observations", [e.observations[:-1] for e in episodes])
         _stack(file, "next_observations", [e.observations[1:] for e in episodes])

@@ -11,7 +11,7 @@ import h5py
 
 from envs.demonstrations.episode import Episode
 from envs.demonstrations.readers.recording import ARRAYS, FORMAT, FORMAT_VERSION, OPTIONAL, START
-from envs.demonstrations.writers.hdf5 import whole_file
+from envs.demonstrations.writers.hdf5 import whole_hdf5
 from envs.demonstrations.writing import Writer
 
 
@@ -29,7 +29,7 @@ def write_recording(path: str | Path, episodes: Sequence[Episode], card: Mapping
     """
     if not episodes:
         raise ValueError(f"{path}: refusing to write a recording without episodes")
-    with whole_file(Path(path)) as file:
+    with whole_hdf5(Path(path)) as file:
         file.attrs.update(
             format=FORMAT,
             format_version=FORMAT_VERSION,

@@ -11,7 +11,7 @@ import pytest
 from envs.demonstrations import MultiplyConfig, multiply
 from envs.door import task
 from envs.door.variation import VARY
-from tests.demonstrations.helpers import load_door
+from tests.envs.demonstrations.helpers import load_door
 
 FILE = Path(__file__).parents[4] / "shared" / "demos" / "dapg" / "door-v0_demos.pickle"
 PUBLISHED = "d6ec9a090261f901e5c9bf10082799e30c8d34c3f28aef4026e492a1aefc96c3"

@@ -34,7 +34,7 @@ from envs.door.hand import DOOR, build_scene
 from envs.door.resimulation import RESIMULATE
 from envs.door.variation import VARY, VARYING
 from envs.steps import counted_steps
-from tests.demonstrations.helpers import door_of, still_episode
+from tests.envs.demonstrations.helpers import door_of, still_episode
 
 # An angle that every closed door passes: the bookkeeping can be tested without a door opener.
 ANY_ANGLE = {"min_progress": -1.0, "horizon": 6, "round_size": 8, "target_episodes": 12}

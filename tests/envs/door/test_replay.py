@@ -12,7 +12,7 @@ from envs.demonstrations import DemonstrationError
 from envs.door import hand
 from envs.door.hand import DOOR_POSITION
 from envs.door.resimulation import RESIMULATE
-from tests.demonstrations.helpers import DOOR, still_episode
+from tests.envs.demonstrations.helpers import DOOR, still_episode
 
 
 class Breaking(HandSimulator):

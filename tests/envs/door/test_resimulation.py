@@ -12,7 +12,7 @@ from envs.demonstrations import DemonstrationError
 from envs.demonstrations.report import replay_error
 from envs.door import hand, task
 from envs.door.resimulation import RESIMULATE
-from tests.demonstrations.helpers import DOOR, door_of, still_episode
+from tests.envs.demonstrations.helpers import DOOR, door_of, still_episode
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from envs.adroit.simulator import HandSimulator
 from envs.door import hand, task
 from envs.door.resimulation import RESIMULATE
 from envs.door.variation import GUIDE
-from tests.demonstrations.helpers import DOOR, still_episode
+from tests.envs.demonstrations.helpers import DOOR, still_episode
 
 
 @pytest.mark.parametrize("offset", [[0.04, 0, 0], [0, 0.04, 0], [0, 0, 0.04], [-0.03, 0.02, -0.03]])

@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 from configs import compose
 from envs import EnvOptions
 from pipeline.act.rollouts import MAX_BATCH, rollout_episodes, rollout_waves
-from pipeline.commands.acting import Acting
+from pipeline.commands.demonstrator import Demonstrator
 from pipeline.commands.record import record_demonstrations
 from tests.toys import reach
 
@@ -33,10 +33,10 @@ def refused(options: EnvOptions) -> None:
 
 def test_recorded_episodes_are_of_the_environment_that_was_asked_for(tmp_path: Path):
     keys = ["env.workers=3", "env.num_threads=2", "env.horizon=9"]
-    acting = Acting.of_controller(f"{reach.__file__}:controller", [TOY, *keys])
-    acting = replace(acting, task=replace(acting.task, make_env=refused))
+    demonstrator = Demonstrator.of_controller(f"{reach.__file__}:controller", [TOY, *keys])
+    demonstrator = replace(demonstrator, task=replace(demonstrator.task, make_env=refused))
     with pytest.raises(Made) as made:
-        record_demonstrations(acting, str(tmp_path / "x.h5"), episodes=4, attempts=5, seed=7)
+        record_demonstrations(demonstrator, str(tmp_path / "x.h5"), episodes=4, attempts=5, seed=7)
     expected = EnvOptions(num_envs=5, seed=7, device="cpu", num_threads=2, workers=3, horizon=9)
     assert made.value.args == (expected,)
 

@@ -27,7 +27,7 @@ from pipeline import cli
 from pipeline.commands import demos_check
 from pipeline.commands.demos_check import check_demonstrations
 from pipeline.recipe import Recipe
-from tests.demonstrations.files_of_others import toy_episode, write_flat, write_npz
+from tests.envs.demonstrations.files_of_others import toy_episode, write_flat, write_npz
 from tests.toys import reach
 
 

@@ -21,7 +21,7 @@ from pipeline.act.recorder import Recorder
 from pipeline.commands import film
 from pipeline.film import performers
 from pipeline.film.choice import Choice
-from pipeline.film.performers import Run
+from pipeline.film.performers import LoadedRun
 from pipeline.film.takes import Moment
 from pipeline.policy import load_policy
 from pipeline.run_dir import load_recipe, save_recipe
@@ -116,7 +116,7 @@ def test_a_film_shows_the_policy_as_it_is_evaluated(
     assert np.abs(filmed(noisy) - mean).max() > 0.01
     np.testing.assert_array_equal(filmed(noisy), filmed(noisy))
     # Each episode has noise of its own, the one that its evaluation has.
-    run, recorder = Run.of(noisy), Recorder(DOORS)
+    run, recorder = LoadedRun.of(noisy), Recorder(DOORS)
     policy, _ = load_policy(run.recipe, run.task, noisy)
     components.make_evaluator(run.recipe, run.task, episodes=DOORS).run(policy, recorder)
     seen = np.concatenate([path[::2, task.HAND_QPOS] for path, _ in recorder.episodes()])
@@ -144,7 +144,7 @@ def test_a_demonstration_is_played_as_it_was_recorded(
 ):
     """Every second of its poses, and the last one as long as the policy goes on."""
     door = find_task("door")
-    run = Run.of(trained)
+    run = LoadedRun.of(trained)
     loaded = load_demonstrations(str(demos), door, DemoOptions()).episodes
     opened = performers.performer("demos", run)
     with opened(Picture(), 3) as one:

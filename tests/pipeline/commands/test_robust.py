@@ -42,7 +42,7 @@ def test_noise_and_delays_are_of_every_task_and_the_rest_of_those_that_say_so():
 def test_a_policy_climbs_its_ladders(trained: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(robust, "BEYOND", (0.02,))
     lines: list[str] = []
-    found = robustness(trained, episodes=2, kinds=["door_z"], told=lines.append)
+    found = robustness(trained, episodes=2, kinds=["door_z"], report=lines.append)
     assert [ladder.what for ladder in found.ladders] == [
         "door_z above its box",
         "door_z below its box",

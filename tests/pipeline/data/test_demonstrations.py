@@ -13,7 +13,7 @@ from envs import Task
 from envs.demonstrations import DemonstrationError
 from pipeline.data.demonstrations import Demonstrations, DemosSettings, make_demonstrations
 from pipeline.data.rows import TransitionRows
-from tests.demonstrations.files_of_others import SCHEMA, toy_episode, write_npz
+from tests.envs.demonstrations.files_of_others import SCHEMA, toy_episode, write_npz
 
 
 def no_env(_: object):

@@ -17,9 +17,10 @@ from tensordict import NonTensorData, TensorDict
 
 from pipeline.build import build_run
 from pipeline.commands.evaluate_run import evaluate_run
+from pipeline.files.run_files import CONFIG, TRUST, RunDirectoryError
 from pipeline.files.run_format import RunFormatError, latest_of, verify_checkpoint
 from pipeline.files.sums import DamagedError, write_sums
-from pipeline.run_dir import CONFIG, TRUST, RunDirectoryError, load_recipe
+from pipeline.run_dir import load_recipe
 from tests.pipeline.toys import built, tiny_config
 
 

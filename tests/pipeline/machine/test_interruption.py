@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from pipeline.build import build_run
-from pipeline.machine.disk import told
+from pipeline.machine.disk import training_stopped_by
 from pipeline.machine.interruption import Interrupted, interruption
 from pipeline.trainer import Run
 from tests.pipeline.resuming import curve_of, differences
@@ -171,7 +171,9 @@ def test_a_checkpoint_for_which_there_is_no_room_leaves_the_last_one(
     with pytest.raises(OSError, match=r"a checkpoint takes .* MiB, of which 0.0 are free") as error:
         run.train()
     assert error.value.errno == errno.ENOSPC
-    assert "no space left. The last checkpoint is as it was: free some" in told(error.value)
+    assert "no space left. The last checkpoint is as it was: free some" in training_stopped_by(
+        error.value
+    )
     checkpoints = sorted((tmp_path / "run" / "checkpoints").glob("checkpoint-*"))
     assert checkpoints[-1].name == "checkpoint-000000000040"
     monkeypatch.undo()

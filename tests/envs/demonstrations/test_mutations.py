@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from envs.demonstrations import DemonstrationError, DemoSchema, open_source, write_recording
-from tests.demonstrations.files_of_others import (
+from tests.envs.demonstrations.files_of_others import (
     ROBOMIMIC_SCHEMA,
     SCHEMA,
     following,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import json
 import typing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,9 +19,10 @@ from envs.task import SUCCESS, has_column
 from envs.user_files import split_file, told_at
 from pipeline.data.episodes import FinishedEpisode
 from pipeline.growth import admission_rule
+from pipeline.overrides import recipe_of
 from pipeline.policy import load_policy
 from pipeline.recipe import Recipe
-from pipeline.run_dir import load_recipe, recipe_of
+from pipeline.run_dir import load_recipe
 
 POLICY: Final = "POLICY"
 ROUNDING: Final = 1e-6
@@ -30,7 +30,7 @@ ROUNDING: Final = 1e-6
 
 
 @dataclass(frozen=True)
-class Acting:
+class Demonstrator:
     """Who acts, where, and which of its episodes are good.
 
     Attributes:
@@ -169,8 +169,3 @@ def _checked(where: str, action: torch.Tensor, shape: tuple[int, int]) -> torch.
             "the task's own units are scaled to that; clip it"
         )
     return action.clamp(-1.0, 1.0)
-
-
-def task_override(task: str | None) -> list[str]:
-    """``TASK=`` of a command line as an override."""
-    return [] if task is None else [f"task.name={json.dumps(task)}"]

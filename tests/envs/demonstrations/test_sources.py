@@ -9,7 +9,7 @@ import pytest
 
 from envs.demonstrations import DemonstrationError, open_source, write_recording
 from envs.door.demos import SCHEMA
-from tests.demonstrations.helpers import raw_demo, still_episode, write_pickle
+from tests.envs.demonstrations.helpers import raw_demo, still_episode, write_pickle
 
 
 def test_a_folder_holds_files_of_any_kind(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from envs.demonstrations import DemonstrationError
 from envs.demonstrations.readers.dapg import DapgSource
 from envs.door.demos import SCHEMA
-from tests.demonstrations.helpers import DOOR, raw_demo, write_pickle
+from tests.envs.demonstrations.helpers import DOOR, raw_demo, write_pickle
 
 
 @pytest.mark.parametrize("protocol", [2, 4, 5])

@@ -19,7 +19,7 @@ from envs.demonstrations import load_demonstrations, read_card
 from envs.door.definition import TASK
 from envs.door.paper import TABLE_1, TABLE_2
 from pipeline import build, cli, train
-from pipeline.commands import record
+from pipeline.commands import evaluate_run, record
 from pipeline.film import performers
 from pipeline.machine import extras
 from pipeline.non_finite import NonFiniteError
@@ -376,6 +376,7 @@ def test_an_extra_of_a_command_is_named(
     monkeypatch.setattr(extras, "find_spec", lambda _name: None)
     for name in extras.EXTRAS:
         monkeypatch.delitem(sys.modules, name, raising=False)
+    (tmp_path / "config.yaml").touch()
     code, _, error = command(*[a if a != "RUN" else tmp_path for a in arguments])
     assert code == 1
     assert f"make {arguments[0]} needs {module}, which comes with the extra '{extra}'" in error
@@ -393,7 +394,7 @@ def test_recording_to_minari_without_it_says_so_before_episodes_are_played(
 
 
 def test_numbers_that_are_not_finite_have_an_exit_code_of_their_own(
-    training: Command, command: Command, monkeypatch: pytest.MonkeyPatch
+    training: Command, command: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     def broken(*_arguments: object, **_options: object) -> None:
         raise NonFiniteError("next.reward is nan at frame 3")
@@ -401,8 +402,9 @@ def test_numbers_that_are_not_finite_have_an_exit_code_of_their_own(
     monkeypatch.setattr(train, "build_run", broken)
     code, _, error = training("variant=sac")
     assert (code, error) == (3, "error: next.reward is nan at frame 3\n")
-    monkeypatch.setattr(cli, "run_evaluation", broken)
-    code, _, error = command("eval", "somewhere")
+    monkeypatch.setattr(evaluate_run, "run_evaluation", broken)
+    (tmp_path / "config.yaml").touch()
+    code, _, error = command("eval", tmp_path)
     assert (code, error) == (3, "error: next.reward is nan at frame 3\n")
 
 

@@ -18,7 +18,7 @@ from envs.demonstrations import (
     read_card,
     write_demonstrations,
 )
-from tests.demonstrations.files_of_others import assert_same, toy_episode
+from tests.envs.demonstrations.files_of_others import assert_same, toy_episode
 
 SCHEMA = DemoSchema(
     describes="the toy", observation_size=3, action_size=2, start=(StartKey("seat", 2),)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from envs.demonstrations import Episode, to_tensordict
-from tests.demonstrations.helpers import still_episode
+from tests.envs.demonstrations.helpers import still_episode
 
 
 @st.composite

@@ -20,7 +20,7 @@ from envs.demonstrations import (
 )
 from envs.demonstrations.reading import FileSource, Reader, Record
 from envs.demonstrations.validation import RawEpisode
-from tests.demonstrations.files_of_others import (
+from tests.envs.demonstrations.files_of_others import (
     ROBOMIMIC_SCHEMA,
     SCHEMA,
     assert_same,

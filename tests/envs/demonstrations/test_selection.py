@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from envs.demonstrations import Episode, Provenance
 from envs.demonstrations.selection import ended_at, highest_returns
 from envs.door import task
-from tests.demonstrations.helpers import load_door, still_episode
+from tests.envs.demonstrations.helpers import load_door, still_episode
 
 
 def episodes_with(returns: list[float]) -> list[Episode]:

@@ -20,7 +20,7 @@ from envs.demonstrations import DemonstrationError, hdf5_probe, limits, open_sou
 from envs.demonstrations.children import run_child
 from envs.demonstrations.files import read_json_file, read_npz, require_readable
 from envs.demonstrations.readers import hdf5_layout
-from tests.demonstrations.files_of_others import (
+from tests.envs.demonstrations.files_of_others import (
     SCHEMA,
     toy_episode,
     write_dapg,

@@ -14,7 +14,7 @@ from envs.demonstrations import (
     format_reports,
 )
 from envs.door import task
-from tests.demonstrations.helpers import load_door, raw_demo, write_pickle
+from tests.envs.demonstrations.helpers import load_door, raw_demo, write_pickle
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ from envs.demonstrations import (
     write_recording,
 )
 from envs.door.demos import SCHEMA
-from tests.demonstrations.helpers import still_episode
+from tests.envs.demonstrations.helpers import still_episode
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import pytest
 
 from envs.demonstrations import DemonstrationError, content_hash, open_source, write_recording
 from envs.door.demos import SCHEMA
-from tests.demonstrations.helpers import DOOR, raw_demo, still_episode
+from tests.envs.demonstrations.helpers import DOOR, raw_demo, still_episode
 
 
 def write_d4rl(path: Path, demos: list[dict[str, Any]], ends: list[int], infos: bool) -> Path:

@@ -9,7 +9,7 @@ import pytest
 
 from envs.demonstrations import saturated_share
 from envs.demonstrations.coverage import least_covered, start_coverage
-from tests.demonstrations.files_of_others import toy_episode
+from tests.envs.demonstrations.files_of_others import toy_episode
 
 
 def test_shares_by_hand():

@@ -14,7 +14,7 @@ import pytest
 
 from envs.demonstrations import DemonstrationError, limits, open_source, write_recording
 from envs.demonstrations.readers import lerobot
-from tests.demonstrations.files_of_others import (
+from tests.envs.demonstrations.files_of_others import (
     SCHEMA,
     assert_same,
     toy_episode,

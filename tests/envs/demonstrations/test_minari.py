@@ -11,7 +11,7 @@ import pytest
 
 from envs.demonstrations import DemonstrationError, open_source
 from envs.door.demos import SCHEMA
-from tests.demonstrations.helpers import DOOR, raw_demo
+from tests.envs.demonstrations.helpers import DOOR, raw_demo
 
 minari = pytest.importorskip("minari", reason="the minari extra is not installed")
 gymnasium = pytest.importorskip("gymnasium")
