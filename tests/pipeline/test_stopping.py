@@ -160,7 +160,7 @@ def test_a_portion_may_be_cut_twice_and_be_the_first(
 def test_without_a_state_of_the_environment_the_portion_begins_anew(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ):
-    recipe = recipe_of(LAST_ONLY, f"task.name='gymnasium:{PYTHON}/Spaces-v0'", "env.horizon=15")
+    recipe = recipe_of(LAST_ONLY, f"task.name='gymnasium:{PYTHON}/Spaces-v0'", "loss.n_step=1")
     cut(recipe, tmp_path / "run", 2 * STEPS + 4)
     again = build_run(recipe, tmp_path / "run", resume=True)
     assert "goes on with fresh episodes" in caplog.text
