@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -119,20 +118,21 @@ def _second_signal_ends_it() -> Iterator[None]:
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-    threading.Thread(target=_count, args=(reader,), name="signals", daemon=True).start()
+    over = threading.Event()
+    threading.Thread(target=_count, args=(reader, over), name="signals", daemon=True).start()
     try:
         yield
     finally:
+        over.set()
         signal.set_wakeup_fd(before)
         os.close(writer)
 
 
-def _count(reader: int) -> None:
-    """Ends the process ``GRACE_S`` after the second signal, if nothing else has by then."""
+def _count(reader: int, over: threading.Event) -> None:
+    """Ends the process ``GRACE_S`` after the second signal, unless it is ``over`` by then."""
     signals = 0
-    while told := os.read(reader, 1):
-        signals += told[0] in SIGNALS
-        if signals > 1:
-            time.sleep(GRACE_S)
-            os._exit(128 + told[0])
+    while signum := os.read(reader, 1):
+        signals += signum[0] in SIGNALS
+        if signals > 1 and not over.wait(GRACE_S):
+            os._exit(128 + signum[0])
     os.close(reader)
