@@ -103,6 +103,7 @@ def _going_on(recipe: Recipe, saved: Recipe, run_dir: Path, time_use: TimeUse) -
         require_budget(recipe, trained_frames(checkpoint), run_dir, changed)
         run = _compose(recipe, run_dir, time_use)
         load_trainer(checkpoint, run.trainer)
+        run = replace(run, begin=None)  # it has begun, even where it stopped in its first portion
         cut_back(run_dir, run.trainer.collected_frames)
         time_use.reach(last_wall_s(run_dir))
     if changed:

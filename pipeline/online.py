@@ -14,6 +14,7 @@ from envs import Task
 from envs.steps import counted_steps
 from pipeline import components
 from pipeline.act.chosen_starts import BEGUN_AT, ChosenStartsEnv
+from pipeline.act.portion_collector import PortionCollector, PortionCut
 from pipeline.data.curriculum import CurriculumEpisodes, ReverseCurriculum
 from pipeline.data.demonstrations import Demonstrations
 from pipeline.data.mixture import Mixture
@@ -31,7 +32,6 @@ from pipeline.hooks import (
 from pipeline.judgement import check_clone
 from pipeline.learner import Learner, make_learner
 from pipeline.machine.interruption import StopRequest
-from pipeline.machine.threads import OneThreadCollector
 from pipeline.recipe import Recipe
 from pipeline.sources import Sources, make_sources
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer
@@ -54,8 +54,8 @@ def build_online(
     beside = ExtraSimulatorSteps(demonstrated + replayed.taken, sources.simulator_steps)
     beside.write(run_dir)
     policy = learner.policy()
-    collector = _collector(recipe, env, learner, time_use)
     stop = StopRequest()
+    collector = _collector(recipe, env, learner, time_use, stop)
     trainer = make_trainer(
         recipe,
         run_dir,
@@ -68,6 +68,7 @@ def build_online(
         loss_module=learner.loss,
         optimization_stepper=learner.stepper,
     )
+    trainer.register_op("shutdown", partial(_save_cut, trainer, collector))
     optimisation, figures = _register(
         recipe, trainer, env, learner, sources, curricula, time_use, stop
     )
@@ -96,10 +97,10 @@ def _environment(
 
 
 def _collector(
-    recipe: Recipe, env: EnvBase, learner: Learner, time_use: TimeUse
-) -> OneThreadCollector:
+    recipe: Recipe, env: EnvBase, learner: Learner, time_use: TimeUse, stop: StopRequest
+) -> PortionCollector:
     """Plays ``env`` with the policy that explores."""
-    collector = OneThreadCollector(
+    collector = PortionCollector(
         env,
         learner.explorer(),
         frames_per_batch=recipe.collector.frames_per_batch,
@@ -109,11 +110,18 @@ def _collector(
         env_device=recipe.device,
         storing_device=recipe.device,
         track_traj_ids=False,
+        interruptor=PortionCut(stop),
         auto_register_policy_transforms=False,  # what a policy keeps in mind is in the carrier
     )
     time_use.watch(env, "_step", "physics")
     time_use.watch(collector, "rollout", "collect")
     return collector
+
+
+def _save_cut(trainer: Trainer, collector: PortionCollector) -> None:
+    """Saves a portion that was cut: the trainer saves only when one is complete."""
+    if collector.begun is not None:
+        trainer.save_trainer(force_save=True)
 
 
 def _register(

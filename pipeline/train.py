@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import logging
 import sys
 from pathlib import Path
@@ -74,6 +76,8 @@ def _failure(config: DictConfig) -> tuple[int, str] | None:
         with interruption() as signals:
             _train(config, signals)
     except Interrupted as stop:
+        # At its end the interpreter looks through all objects for garbage: for seconds.
+        atexit.register(gc.freeze)
         sys.exit(stop.exit_code)  # of a whole sweep too
     except NonFiniteError as error:
         return EXIT_CODE, str(error)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import multiprocessing.util
 import signal
+import time
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerContext
+from multiprocessing.context import ForkServerContext, ForkServerProcess
 from multiprocessing.sharedctypes import RawArray
 from typing import Any, Final
 
@@ -24,8 +26,8 @@ Array = NDArray[Any]
 # takes long. (Not this package: Python 3.11's server does not have its parent's path.)
 PROCESSES: Final[ForkServerContext] = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["torchrl.envs", "mujoco"])
-PATIENCE_S: Final = 10.0
-"""How long a worker may take to close its copies."""
+PATIENCE_S: Final = 5.0
+"""How long all workers together may take to end: their step, and closing their copies."""
 
 
 class Workers:
@@ -54,7 +56,9 @@ class Workers:
         edges = np.linspace(0, count, workers + 1).astype(int).tolist()
         self.parts = [slice(a, b) for a, b in pairwise(edges)]
         self.connections: list[Connection] = []
-        self.processes = []
+        self.processes: list[ForkServerProcess] = []
+        # Should nobody close them. Python's own way is SIGTERM, which they leave to the parent.
+        self._end = multiprocessing.util.Finalize(None, _kill, (self.processes,), exitpriority=1)
         for part in self.parts:
             ours, theirs = PROCESSES.Pipe()
             process = PROCESSES.Process(
@@ -118,10 +122,10 @@ class Workers:
         """Close all copies and end the processes."""
         for connection in self.connections:
             connection.close()
+        until = time.monotonic() + PATIENCE_S
         for process in self.processes:
-            process.join(PATIENCE_S)
-            if process.is_alive():
-                process.terminate()
+            process.join(max(0.0, until - time.monotonic()))
+        self._end()
 
     def _ask(self, asked: Mapping[int, tuple[Any, ...]]) -> list[Any]:
         for k, request in asked.items():
@@ -156,6 +160,12 @@ class Workers:
         )
 
 
+def _kill(processes: Sequence[ForkServerProcess]) -> None:
+    for process in processes:
+        if process.is_alive():
+            process.kill()
+
+
 def _allocate(shared: dict[str, Any], shape: tuple[int, ...], dtype: Any) -> Array:
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     memory = RawArray("b", max(size, 1))
@@ -178,8 +188,10 @@ def _work(
     sharers: int,
 ) -> None:
     """A worker's life: make its copies, do what is asked, end when the parent hangs up."""
-    # Ctrl-C goes to every process of the terminal; what is done about it is the parent's business.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Ctrl-C goes to every process of the terminal, and a cluster's SIGTERM to every one of a job;
+    # what is done about it is the parent's business.
+    for signum in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(signum, signal.SIG_IGN)
     memories = iter(shared)
     buffers = Buffers.make(count, layout, lambda *of: _view(next(memories), *of))
     try:
@@ -195,7 +207,7 @@ def _work(
                 connection.send(getattr(copies, request)(*arguments))
             except (TaskFailedError, ValueError) as error:
                 connection.send(error)
-    except EOFError:
+    except (EOFError, ConnectionError):  # it hung up before a question, or before its answer
         # Nobody is left to tell that one raised.
         with contextlib.suppress(TaskFailedError):
             copies.close()

@@ -79,8 +79,8 @@ class CollectorState:
 
     ``Collector.state_dict`` starts fresh episodes on load; here environments that keep their whole
     state (the door does, and those of others that ``envs/library/state.py`` can save) go on in the
-    middle of theirs.  Others start fresh episodes: such a resumed run is valid but not
-    bit-identical.
+    middle of theirs, and in the middle of a portion that was cut (``PortionCollector``).  Others
+    start fresh episodes and a fresh portion: such a resumed run is valid but not bit-identical.
 
     Args:
         collector: TorchRL ``Collector`` over one batched environment.
@@ -91,11 +91,15 @@ class CollectorState:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything as tensors, numbers and nested dicts."""
+        begun = getattr(self.collector, "begun", None)
+        if begun is not None and not resumes_midway(self.collector.env):
+            begun = None  # nothing could go on from its last step
         return {
             "frames": self.collector._frames,
             "iter": self.collector._iter,
             "carrier": self.collector._carrier.to_dict(),
             "env": self.collector.env.state_dict(),
+            "begun": {} if begun is None else begun.to_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -110,11 +114,18 @@ class CollectorState:
         if resumes_midway(env) and whole:
             saved = TensorDict(state["carrier"], carrier.batch_size, device=carrier.device)
             carrier.update(saved)
+            self._go_on_with(state.get("begun"))  # checkpoints of before have none
         else:
             _logger.warning(
                 "this environment cannot be put back into the middle of an episode: the run goes "
                 "on with fresh episodes, and not bit for bit as it would have"
             )
+
+    def _go_on_with(self, begun: Mapping[str, Any] | None) -> None:
+        collector = self.collector
+        if begun:
+            shape = begun["action"].shape[: collector._carrier.ndim + 1]
+            collector.begun = TensorDict(begun, shape).to(collector.storing_device)
 
 
 def _paths(state: Mapping[str, Any]) -> set[tuple[str, ...]]:

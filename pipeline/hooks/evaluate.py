@@ -84,7 +84,8 @@ class EvaluationHook(TrainerHookBase):
 
     def evaluate(self, frames: int) -> dict[str, Any]:
         """Evaluates now; the figures are kept in ``metrics`` until the next evaluation."""
-        self.metrics = metrics = self.evaluator.metrics(self.evaluator.run(self.policy))
+        with self.stop.at_once():
+            self.metrics = metrics = self.evaluator.metrics(self.evaluator.run(self.policy))
         self.last_frame = frames
         measured = {k: v for diagnostic in self.diagnostics for k, v in diagnostic().items()}
         _append(self.path, {"frames": frames, **metrics, **measured})

@@ -61,7 +61,7 @@ class UpdatesHook(TrainerHookBase):
         """Trainer hook ``setup``: makes the updates that are owed.
 
         Raises:
-            Interrupted: If they are cut short again; the checkpoint they began from stays.
+            Interrupted: If they are cut short again; what is still owed then is saved.
         """
         if not self.owed or self._trainer is None:
             return
@@ -70,6 +70,8 @@ class UpdatesHook(TrainerHookBase):
         self._trainer.optim_steps(self.mixture.collected)
         self._trainer.optim_steps_per_batch = usual
         if self.owed:
+            self._trainer.optimization_stepper.settle()
+            self._trainer.save_trainer(force_save=True)
             self.stop.leave()
 
     def register(self, trainer: Trainer, name: str = "updates") -> None:

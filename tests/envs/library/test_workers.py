@@ -2,6 +2,9 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -41,6 +44,48 @@ def test_a_worker_that_dies_is_named():
     with pytest.raises(TaskFailedError, match=r"process of copies 2 to 3 died \(exit code -9\)"):
         env.rollout(2)
     env.close()
+
+
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_all_processes_leaves_the_workers_to_their_parent(signum):
+    """As from a terminal, or from a cluster that ends a job."""
+    env = make("Clock", num_envs=4, workers=2)
+    env.reset()
+    for process in env.copies.processes:
+        os.kill(process.pid, signum)
+    assert env.rollout(2)["next", "reward"].shape == (4, 2, 1)
+    env.close()
+
+
+def test_workers_that_nobody_closed_end_with_the_program(tmp_path):
+    program = "\n".join([
+        "from tests.envs.library.making import make",
+        "if __name__ == '__main__':",
+        "    env = make('Clock', num_envs=2, workers=2)",
+        "    print(*[process.pid for process in env.copies.processes])",
+    ])  # fmt: skip
+    (tmp_path / "left.py").write_text(program)
+    done = subprocess.run(
+        [sys.executable, tmp_path / "left.py"], capture_output=True, text=True, timeout=120,
+        env={**os.environ, "PYTHONPATH": os.getcwd()}, check=True,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr
+    numbers = [int(number) for number in done.stdout.split()[-2:]]
+    assert not any(Path(f"/proc/{number}").exists() for number in numbers)
+
+
+def test_workers_that_are_closed_in_the_midst_of_a_step_end_in_silence(capfd):
+    env = make("Clock", num_envs=2, workers=2)
+    env.reset()
+    processes = env.copies.processes
+    for connection in env.copies.connections:
+        for _ in range(100):
+            connection.send(("step", [0]))  # and nobody waits for the answers
+    env.close()
+    for process in processes:
+        process.join(20)
+    assert [process.exitcode for process in processes] == [0, 0]
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_closing_ends_the_processes():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import shutil
 import signal
 import subprocess
@@ -13,10 +14,12 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from omegaconf import OmegaConf
 
+from pipeline import train
 from pipeline.build import build_run
 from pipeline.machine.disk import training_stopped_by
-from pipeline.machine.interruption import Interrupted, interruption
+from pipeline.machine.interruption import Interrupted, StopRequest, interruption
 from pipeline.trainer import Run
 from tests.pipeline.resuming import curve_of, differences
 from tests.pipeline.test_resuming import FILE, recipe_of, resumed
@@ -46,16 +49,19 @@ def stop_after(run: Run, updates: int) -> None:
     run.trainer.register_op("post_optim", made)
 
 
-def stop_in_evaluation(run: Run, steps: int) -> None:
-    left = iter(range(steps, -1, -1))
+def stop_in_evaluation(run: Run, steps: int) -> list[str]:
+    """As by a signal there; returns what is done after it."""
+    left, after = iter(range(steps, -1, -1)), []
     leave = run.evaluation.evaluator.between_steps
 
     def between() -> None:
         if next(left, 1) == 0:
-            run.stop.signum = signal.SIGINT
+            run.stop.make(signal.SIGINT)
+            after.append("the rest of a step of all copies")
         leave()
 
     object.__setattr__(run.evaluation.evaluator, "between_steps", between)
+    return after
 
 
 @pytest.mark.parametrize("updates", [1, 8, 10, 28, 30])
@@ -88,6 +94,7 @@ def test_what_is_stopped_twice_in_one_portion_goes_on_too(
     with pytest.raises(Interrupted):
         again.train()
     last = resumed(tmp_path / "run")
+    assert last.updates.owed == 2, "what was made between the two stops is kept"
     last.train()
     expected, curve = uninterrupted
     assert differences(whole(last), expected) == []
@@ -100,9 +107,10 @@ def test_an_evaluation_that_is_cut_short_is_made_again(
 ):
     """Episodes have 20 steps: the first evaluation, or the second."""
     run = build_run(recipe_of(*UPDATES), tmp_path / "run")
-    stop_in_evaluation(run, steps)
+    after = stop_in_evaluation(run, steps)
     with pytest.raises(Interrupted) as stop:
         run.train()
+    assert after == []
     assert stop.value.exit_code == 130
     again = resumed(tmp_path / "run")
     again.train()
@@ -119,7 +127,7 @@ def test_before_there_is_a_run_a_signal_ends_it_at_once():
 
 
 def test_the_second_signal_is_the_system_s_own(monkeypatch: pytest.MonkeyPatch):
-    request, sent = SimpleNamespace(signum=None), []
+    request, sent = StopRequest(), []
     monkeypatch.setattr("os.kill", lambda _pid, signum: sent.append(signum))
     with interruption() as handler:
         handler.asks(request)
@@ -128,6 +136,77 @@ def test_the_second_signal_is_the_system_s_own(monkeypatch: pytest.MonkeyPatch):
         signal.raise_signal(signal.SIGINT)
         assert sent == [signal.SIGINT]
         assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL
+
+
+@pytest.mark.parametrize(
+    ("work", "codes"),
+    [
+        ("time.sleep(60)", {-signal.SIGTERM}),
+        # In code that hears of no signal; Python's handler is called once it has returned.
+        ("hashlib.pbkdf2_hmac('sha256', b'', b'', 2**31 - 1)", {128 + signal.SIGTERM}),
+    ],
+)
+def test_the_second_signal_ends_the_process_whatever_it_does(work: str, codes: set[int]):
+    program = (
+        "import hashlib, time\n"
+        "from pipeline.machine.interruption import StopRequest, interruption\n"
+        "with interruption() as handler:\n"
+        "    handler.asks(StopRequest())\n"
+        f"    print('begun', flush=True); {work}"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.readline()
+    for _ in range(2):
+        time.sleep(0.5)
+        assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+    assert process.wait(timeout=20) in codes
+    process.stdout.close()
+
+
+def interrupted_inside(request: StopRequest, after: list[str]) -> None:
+    with request.at_once():
+        signal.raise_signal(signal.SIGINT)
+        after.append("it went on")
+
+
+@pytest.mark.parametrize("asked_before", [False, True])
+def test_what_is_done_again_anyway_ends_at_once(asked_before: bool):
+    request, after = StopRequest(), []
+    with interruption() as handler:
+        handler.asks(request)
+        if asked_before:
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(Interrupted, match="SIGINT"):
+            interrupted_inside(request, after)
+    assert request.made
+    assert after == []
+
+
+def test_outside_of_it_a_signal_is_a_request():
+    request = StopRequest()
+    with interruption() as handler:
+        handler.asks(request)
+        with request.at_once():
+            pass
+        signal.raise_signal(signal.SIGINT)
+    assert request.made
+
+
+def test_the_end_of_a_stopped_command_is_not_spent_on_garbage(monkeypatch: pytest.MonkeyPatch):
+    """With all that a training imports, that took seconds of processor time."""
+
+    def stopped(*_given: object) -> None:
+        raise Interrupted(signal.SIGTERM)
+
+    at_exit: list[object] = []
+    monkeypatch.setattr(train, "_train", stopped)
+    monkeypatch.setattr("atexit.register", at_exit.append)
+    with pytest.raises(SystemExit) as end:
+        train._failure(OmegaConf.create())
+    assert end.value.code == 143
+    assert gc.freeze in at_exit
 
 
 def command(*arguments: str) -> subprocess.Popen[str]:
