@@ -120,6 +120,7 @@ def curves_panel(
             figure.add_scatter(
                 x=short([*band.x, *band.x[::-1]]),
                 y=short([*band.high, *band.low[::-1]]),
+                mode="lines",  # else a few points have markers, of another colour
                 fill="toself",
                 fillcolor=_transparent(colour),
                 line={"width": 0},

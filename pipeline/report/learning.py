@@ -106,11 +106,11 @@ def curves(rows: Sequence[RunGroup], reference: Reference | None) -> Section:
     return Section(
         "curves",
         "Learning curves",
-        "Evaluations while training, of fewer episodes than the final one. Line: mean over seeds; "
-        "band: its 95 % interval (bootstrap over seeds; none with one seed). Level: what was "
-        "learned from demonstrations alone, in the end. Dashed: the published number of the row, "
-        "where there is one. Simulator steps are frames, and what demonstrations and rollouts "
-        "beside them took; evaluations are in none of the axes but wall time.",
+        "Evaluations while training, of fewer episodes than the final one. Line: interquartile "
+        "mean over seeds; band: its 95 % interval (bootstrap, from three seeds on). Level: what "
+        "was learned from demonstrations alone, in the end. Dashed: the published number of the "
+        "row, where there is one. Simulator steps are frames, and what demonstrations and "
+        "rollouts beside them took; evaluations are in none of the axes but wall time.",
         charts=charts,
         axes=_choice(rows),
         absent=told_once(lacking),

@@ -157,6 +157,7 @@ def test_a_band_goes_there_and_back(tmp_path: Path):
     band, mean = drawn(reported(*tmp_path.iterdir()), "curves", "share that succeeds")
     assert mean["y"] == pytest.approx([0.0, 0.4])
     assert band["x"] == [0.0, 100.0, 100.0, 0.0]
+    assert (band["mode"], mean["mode"]) == ("lines", "lines"), "no markers at the corners"
     assert band["y"] == pytest.approx([0.0, 0.6, 0.2, 0.0])
 
 
