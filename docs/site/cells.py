@@ -8,8 +8,6 @@ from functools import cache
 from statistics import fmean
 from typing import Any
 
-from scipy.stats import trim_mean
-
 from docs.site.places import DOCS
 from envs import find_task
 from envs.reference import Column
@@ -26,19 +24,15 @@ from pipeline.results.cells import (
     by_place,
     load_cells,
 )
+from pipeline.results.estimates import estimate
 from pipeline.results.evaluation import Evaluation
 from pipeline.results.rows import in_published_order, load_published, published_names
-from pipeline.results.run_tables import cell, over_episodes, with_interval
+from pipeline.results.run_tables import cell
 from pipeline.results.runs import EvaluatedRun, RunGroup
-from pipeline.results.statistics import interquartile_means
 
 RESULTS = DOCS / "results"
-SEVERAL = 3
-"""Seeds from which on an interval is of the seeds."""
 REFERENCE = "reference.json"
 DAPG = "DAPG's policy"
-QUARTER = 0.25
-"""Cut off at either end by an interquartile mean."""
 
 
 @cache
@@ -101,11 +95,7 @@ def condition(task: str, reward: str, row: str, name: str) -> float | None:
 
 
 def figures(row: RunGroup | None, columns: Sequence[Column]) -> list[str]:
-    """Numbers of a cell with their 95 % intervals, as tables show them; dashes where it is missing.
-
-    One seed: over its episodes (Wilson's of a share). Two: their mean alone. More: interquartile
-    mean and stratified bootstrap over seeds.
-    """
+    """Numbers of a cell with 95 % intervals (``estimates.HOW``); dashes where it is missing."""
     return [_figure(row, column) for column in columns]
 
 
@@ -115,28 +105,13 @@ def _of_dapg(figures: Mapping[str, Any]) -> Evaluation:
 
 def middle(row: RunGroup | None, column: Column) -> str:
     """As :func:`figures`, without the interval."""
-    values = [] if row is None else row.figures(column.key)
-    if not values:
-        return "-"
-    return cell(column, fmean(values) if len(values) < SEVERAL else trim_mean(values, QUARTER))
+    found = None if row is None else estimate(row, column)
+    return "-" if found is None else cell(column, found.value)
 
 
 def _figure(row: RunGroup | None, column: Column) -> str:
-    values = [] if row is None else row.figures(column.key)
-    if row is None or not values:
-        return "-"
-    if len(values) >= SEVERAL:
-        mean, low, high = _estimate(tuple(values))
-        return with_interval(column, mean, (low, high))
-    interval = over_episodes(row.runs[0].evaluation, column) if len(values) == 1 else None
-    return with_interval(column, fmean(values), interval)
-
-
-@cache
-def _estimate(values: tuple[float, ...]) -> tuple[float, float, float]:
-    """Of one figure of several seeds; a bootstrap takes half a second."""
-    found = interquartile_means({"row": [[value] for value in values]})["row"]
-    return float(found.iqm[0]), float(found.low[0]), float(found.high[0])
+    found = None if row is None else estimate(row, column)
+    return "-" if found is None else found.text(column)
 
 
 def _cell(row: RunGroup, run: EvaluatedRun) -> Cell:

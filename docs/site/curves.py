@@ -10,28 +10,29 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.stats import trim_mean
 
 from docs.site import cells
 from docs.site.page import Page
 from docs.site.places import ROOT
 from docs.site.task_tables import ONCE, complete
+from pipeline.files.curves import FRAMES, WALL_S
 from pipeline.results.cells import OWN, Place
-from pipeline.results.curves import column, on_grid
+from pipeline.results.curves import AXES, Axis, column, curves_over, is_offline
 from pipeline.results.run_tables import RETURN
 from pipeline.results.runs import RunGroup
 
 FIGURES: Final = ROOT / "build" / "figures"
 SCORES: Final = {ONCE.key: "success once", RETURN: "return"}
 """What is drawn: the first that a row's curves tell."""
-COLUMNS: Final = 3
+LONGEST: Final = 40
+"""Characters of a title that a panel has room for."""
 PANEL_INCHES: Final = (3.6, 2.8)
 REPRODUCIBLE: Final[Any] = {"svg.hashsalt": "bc-sac", "svg.fonttype": "none"}
 Drawn = Callable[[Axes], None]
 
 
 def of_method(page: Page) -> str:
-    """The curves of a page's variants, a panel for each task and reward."""
+    """The curves of a page's variants: for each task and reward a line, a panel for each axis."""
     places = [
         place
         for place in cells.published()
@@ -42,7 +43,7 @@ def of_method(page: Page) -> str:
 
 
 def of_tasks(page: Page) -> str:
-    """The curves of all rows of the listed cells, a panel for each task and reward."""
+    """The curves of all rows of the listed cells, likewise."""
     places = list(cells.listed())
     return _panels(places, page, "tasks") or "No learning curve of a cell is published yet."
 
@@ -53,7 +54,7 @@ def profiles(page: Page) -> str:
     found = {reward: scores for reward in rewards if (scores := complete(reward))}
     if not found:
         return "A performance profile needs a row with a cell at each of our tasks: none has yet."
-    panels = {f"{reward}: runs above a score": _profile(scores) for reward, scores in found.items()}
+    panels = [(f"{reward}: runs above a score", _profile(s)) for reward, s in found.items()]
     return _figure(panels, page, "profiles", "share of runs above each share of success, by row")
 
 
@@ -63,27 +64,31 @@ def _panels(places: Sequence[Place], page: Page, name: str) -> str:
         found = cells.result(task, reward, row)
         if found is not None and _score(found) is not None:
             rows.setdefault((task, reward), []).append(found)
-    panels = {
-        task if reward == OWN else f"{task}, {reward}": _curves(of_one)
+    titled = {
+        task if reward == OWN else f"{task}, {reward}": of_one
         for (task, reward), of_one in rows.items()
     }
-    told = "; ".join(panels)
-    return _figure(panels, page, f"{name}_curves", f"learning curves: {told}") if panels else ""
+    panels = [(title, _curves(of_one, axis)) for title, of_one in titled.items() for axis in AXES]
+    says = f"learning curves over {', '.join(axis.label for axis in AXES)}: {'; '.join(titled)}"
+    return _figure(panels, page, f"{name}_curves", says) if panels else ""
 
 
-def _figure(panels: Mapping[str, Drawn], page: Page, name: str, says: str) -> str:
-    columns = min(COLUMNS, len(panels))
+def _figure(panels: Sequence[tuple[str, Drawn]], page: Page, name: str, says: str) -> str:
+    columns = min(len(AXES), len(panels))
     lines = -(-len(panels) // columns)
     size = (PANEL_INCHES[0] * columns, PANEL_INCHES[1] * lines)
     with mpl.rc_context(REPRODUCIBLE):
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.subplots(lines, columns, squeeze=False).flat
-        for axis, (title, draw) in zip(axes, panels.items(), strict=False):
+        for axis, (title, draw) in zip(axes, panels, strict=False):
             draw(axis)
-            axis.set_title(title, fontsize="medium")
+            # Of a long name of somebody's environment, a part a line.
+            lines_of = title.replace(":", ":\n") if len(title) > LONGEST else title
+            axis.set_title(lines_of, fontsize="medium")
             axis.grid(alpha=0.3)
             axis.spines[["top", "right"]].set_visible(False)
-            axis.legend(fontsize="x-small", frameon=False)
+            if axis.lines:
+                axis.legend(fontsize="x-small", frameon=False)
         for axis in list(axes)[len(panels) :]:
             axis.remove()
         path = FIGURES / f"{name}.svg"
@@ -92,29 +97,35 @@ def _figure(panels: Mapping[str, Drawn], page: Page, name: str, says: str) -> st
     return f"![{says}]({os.path.relpath(path, page.path.parent)})"
 
 
-def _curves(rows: Sequence[RunGroup]) -> Drawn:
+def _curves(rows: Sequence[RunGroup], x: Axis) -> Drawn:
+    """A thin line for each seed, and their interquartile mean; rows that do not tell are named."""
+
     def draw(axis: Axes) -> None:
         keys = {_score(row) for row in rows} - {None}
         key = next(key for key in SCORES if key in keys)
-        for number, row in enumerate(rows):
-            if _score(row) == key:
-                _curve(axis, row, key, f"C{number}")
-        offline = all(run.evaluation.made_from.frames == 0 for r in rows for run in r.runs)
-        axis.set(xlabel="updates" if offline else "environment frames", ylabel=SCORES[key])
-        axis.xaxis.set_major_formatter(lambda frames, _: f"{frames / 1000:g}k")
+        told = curves_over(rows, key, x)
+        for place, band in told.items():
+            row, colour = rows[place], f"C{place}"
+            if len(row.runs) > 1 and not (is_offline(row) and x.key != WALL_S):
+                for run in row.runs:
+                    places, values = column(run, key, x.key)
+                    axis.plot(x.scale * places, values, color=colour, alpha=0.25, linewidth=0.8)
+            label = f"{row.name}, {len(row.runs)} seed{'s' if len(row.runs) > 1 else ''}"
+            marker = "" if len(band.x) > 1 else "o"
+            axis.plot(band.x, band.mean, color=colour, label=label, marker=marker)
+        lacking = [row.name for n, row in enumerate(rows) if n not in told and _score(row) == key]
+        if lacking:
+            axis.text(
+                0.98, 0.02, "\n".join(["not counted:", *lacking]), fontsize="xx-small",
+                transform=axis.transAxes, ha="right", va="bottom",
+            )  # fmt: skip
+        offline = all(is_offline(row) for row in rows)
+        label = "updates" if offline and x.key == FRAMES else x.label
+        axis.set(xlabel=label, ylabel=SCORES[key])
+        if x.key != WALL_S:
+            axis.xaxis.set_major_formatter(lambda count, _: f"{count / 1000:g}k")
 
     return draw
-
-
-def _curve(axis: Axes, row: RunGroup, key: str, colour: str) -> None:
-    """A thin line for each seed, and their interquartile mean."""
-    runs = [column(run, key) for run in row.runs]
-    grid = np.unique(runs[0][0][runs[0][0] <= min(frames[-1] for frames, _ in runs)])
-    values = np.stack([on_grid(frames, scores, grid) for frames, scores in runs])
-    if len(runs) > 1:
-        axis.plot(grid, values.T, color=colour, alpha=0.25, linewidth=0.8)
-    label = f"{row.name}, {len(runs)} seed{'s' if len(runs) > 1 else ''}"
-    axis.plot(grid, trim_mean(values, cells.QUARTER, axis=0), color=colour, label=label)
 
 
 def _profile(scores: Mapping[str, np.ndarray]) -> Drawn:

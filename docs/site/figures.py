@@ -22,7 +22,7 @@ from docs.site.places import DOCS
 from pipeline.results.curves import on_grid
 from pipeline.results.rows import load_published
 from pipeline.results.runs import RunGroup
-from pipeline.results.statistics import interquartile_means
+from pipeline.results.statistics import over_seeds
 
 PICTURE: Final = DOCS / "assets" / "curves.png"
 SHOWN: Final = {"best": "#0072b2", "dbc_sac": "#009e73", "da_sac": "#d55e00", "sac": "#555555"}
@@ -64,7 +64,7 @@ def _curve(axis: Axes, row: RunGroup, key: str, colour: str) -> None:
     end = min(column[-1] for column in frames)
     grid = np.unique([frame for frame in frames[0] if frame <= end])
     values = [on_grid(frames[seed], _column(row, seed, key), grid) for seed in range(len(row.runs))]
-    estimate = interquartile_means({row.name: values})[row.name]
+    estimate = over_seeds(values)
     axis.plot(grid, estimate.iqm, color=colour, label=f"{row.name}, {len(row.runs)} seeds")
     axis.fill_between(grid, estimate.low, estimate.high, color=colour, alpha=0.2, linewidth=0)
 

@@ -10,6 +10,7 @@ from docs.lab.data import load_rows
 from docs.site.page import Page
 from docs.site.places import DOCS
 from docs.site.tables import code, table
+from pipeline.results.run_tables import SPENT, spent
 from pipeline.results.runs import EvaluatedRun, RunGroup
 
 NOTES = DOCS / "lab" / "notes"
@@ -46,7 +47,10 @@ def results(names: Sequence[str]) -> str:
     Raises:
         KeyError: The data hold no such row.
     """
-    head = ("row", "seeds", "> 1.35 rad", "worst seed", "return", "lowest after 90 %", "precision")
+    head = (
+        "row", "seeds", *SPENT.values(), "> 1.35 rad", "worst seed", "return", "lowest after 90 %",
+        "precision",
+    )  # fmt: skip
     return table(head, (_line(rows()[name]) for name in names))
 
 
@@ -77,6 +81,7 @@ def _line(row: RunGroup) -> Sequence[object]:
     return (
         code(row.name),
         len(row.runs),
+        *spent(row.evaluations),
         f"{100 * fmean(success):.1f} %",
         f"{100 * min(success):.1f} %",
         f"{fmean(row.figures('return_mean')):,.0f}",

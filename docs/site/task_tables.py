@@ -13,9 +13,9 @@ from envs.reference import Column
 from envs.registry import OURS
 from pipeline.results.cells import OWN
 from pipeline.results.rows import in_published_order, published_names
-from pipeline.results.run_tables import RETURN, cell, with_interval
+from pipeline.results.run_tables import RETURN, SPENT, cell, with_interval
 from pipeline.results.runs import RunGroup
-from pipeline.results.statistics import over_tasks
+from pipeline.results.statistics import SEVERAL, over_tasks
 
 ONCE: Final = Column("success_once", "success once", percent=True)
 SUCCESS: Final = (ONCE, Column("success_at_end", "at the end", percent=True))
@@ -50,12 +50,16 @@ def rows_of(names: Sequence[str]) -> str:
             "No cell of this method at another task or reward is published yet: "
             f"`make rows TASK=hammer ROWS={names[0]}` makes one."
         )
-    head = ("task", "reward", "row", "seeds", *(c.header for c in (*OUTCOME, STEPS[0])))
+    head = (
+        "task", "reward", "row", "seeds", *SPENT.values(),
+        *(c.header for c in (*OUTCOME, STEPS[0])),
+    )  # fmt: skip
     return table(
         head,
         (
             (
                 code(task), reward, code(name), len(row.runs),
+                *(_cost(task, reward, name, key) for key in SPENT),
                 *cells.figures(row, OUTCOME), cells.middle(row, STEPS[0]),
             )
             for (task, reward, name), row in found
@@ -69,14 +73,18 @@ def aggregate() -> str:
     for reward in dict.fromkeys(r for task in OURS for r in cells.rewards(task)):
         for name, scores in complete(reward).items():
             estimate = over_tasks({name: scores})[name]
-            several = len(scores) >= cells.SEVERAL
+            several = len(scores) >= SEVERAL
             interval = (float(estimate.low[0]), float(estimate.high[0])) if several else None
             figure = with_interval(ONCE, float(estimate.iqm[0]), interval)
             least = cell(ONCE, float(scores.mean(axis=0).min()))
-            lines.append((code(name), reward, len(scores), figure, least))
+            cost = [_mean_cost(reward, name, key) for key in SPENT]
+            lines.append((code(name), reward, len(scores), *cost, figure, least))
     if not lines:
         return f"No row has a cell at each of {', '.join(OURS)} yet."
-    return table(("row", "reward", "seeds", "success once, IQM", "at the worst task"), lines)
+    spent = (f"{header} a task" for header in SPENT.values())
+    return table(
+        ("row", "reward", "seeds", *spent, "success once, IQM", "at the worst task"), lines
+    )
 
 
 def complete(reward: str) -> dict[str, np.ndarray]:
@@ -191,6 +199,13 @@ def _cost(task: str, reward: str, name: str, key: str) -> str:
     value = cells.condition(task, reward, name, key)
     _, scale = COST[key]
     return "-" if value is None else f"{value * scale:,.{1 if scale < 1 else 0}f}"
+
+
+def _mean_cost(reward: str, name: str, key: str) -> str:
+    """Over our tasks; a dash where one does not tell it."""
+    found = [cells.condition(task, reward, name, key) for task in OURS]
+    known = [value for value in found if value is not None]
+    return f"{np.mean(known):,.0f}" if len(known) == len(found) else "-"
 
 
 def _preset(task: str, reward: str, name: str) -> str:

@@ -15,6 +15,7 @@ from docs.site.tables import table
 from envs import find_task
 from envs.reference import Column, Reference
 from pipeline.results.rows import load_published
+from pipeline.results.run_tables import SPENT, spent
 from pipeline.results.runs import RunGroup
 
 VARIANTS = ROOT / "configs" / "variant"
@@ -87,7 +88,7 @@ def results(names: Sequence[str]) -> str:
         return "No row of this method is published yet: `make rows ROWS=NAME` makes one."
     reference = find_task("door").reference
     columns = _columns(reference)
-    head = ["row", "seeds", *(column.header for column in columns)]
+    head = ["row", "seeds", *SPENT.values(), *(column.header for column in columns)]
     return table(head, (line for row in rows for line in _lines(row, columns, reference)))
 
 
@@ -110,12 +111,18 @@ def _lines(
     yield [
         f"`{row.name}`",
         str(len(row.runs)),
+        *spent(row.evaluations),
         *(_figure(fmean(row.figures(column.key)), column) for column in columns),
     ]
     published = reference.rows.get(row.name, {}) if reference else {}
     if published:
         cells = (_figure(published.get(column.key), column) for column in columns)
-        yield [f"the {reference.source if reference else ''}'s `{row.name}`", "1", *cells]
+        yield [
+            f"the {reference.source if reference else ''}'s `{row.name}`",
+            "1",
+            *["-"] * len(SPENT),
+            *cells,
+        ]
 
 
 def _figure(value: float | None, column: Column) -> str:

@@ -80,7 +80,7 @@ def report(
     only: Annotated[str, typer.Option(help="Sections, comma-separated: strategies")] = "",
 ) -> None:
     """Write one page (and Markdown) about runs: results, curves, maps, failures, provenance."""
-    require_extras(("plotly", "jinja2"), "make report")
+    require_extras(("plotly", "jinja2", "rliable"), "make report")
     from pipeline.report.build import MARKDOWN, PAGE, write_report
 
     written = write_report(runs, out, [key for key in only.split(",") if key])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -38,9 +39,16 @@ def panels(items: Sequence[Item], place: Callable[[Item], int]) -> list[list[Ite
     return [list(group) for _, group in groupby(items, lambda item: place(item) // ROWS_A_PANEL)]
 
 
-def chart(title: str, figure: go.Figure, *, wide: bool = False) -> Chart:
-    """Makes a finished figure part of a section."""
-    return Chart(title, str(figure.to_json()), wide)
+def chart(
+    title: str,
+    figure: go.Figure,
+    *,
+    wide: bool = False,
+    over: Mapping[str, go.Figure] = MappingProxyType({}),
+) -> Chart:
+    """Makes a finished figure part of a section; ``over``: the same over its other axes."""
+    others = {key: str(other.to_json()) for key, other in over.items()}
+    return Chart(title, str(figure.to_json()), wide, others)
 
 
 def blank(x: str, y: str, *, share: bool = False, height: int = HEIGHT, **layout: Any) -> go.Figure:
@@ -91,7 +99,7 @@ def curves_panel(
     """Mean and band of a few rows, and a dashed line where there is a published number.
 
     Args:
-        curves: At most ``ROWS_A_PANEL``.
+        curves: At most ``ROWS_A_PANEL``; of none it is said that they do not tell ``x``.
         x: Label.
         y: Label.
         share: Whether ``y`` is a share of episodes.
@@ -100,22 +108,31 @@ def curves_panel(
     figure = blank(x, y, share=share)
     if span is not None:
         figure.update_yaxes(range=list(span))
+    if not curves:
+        figure.add_annotation(
+            text="not in these learning curves", showarrow=False, x=0.5, y=0.5, xref="paper",
+            yref="paper",
+        )  # fmt: skip
+        figure.update_xaxes(showticklabels=False)
     for curve in curves:
         band, colour = curve.band, COLOURS[curve.place % ROWS_A_PANEL]
         if not np.array_equal(band.low, band.high):
             figure.add_scatter(
                 x=short([*band.x, *band.x[::-1]]),
                 y=short([*band.high, *band.low[::-1]]),
+                mode="lines",  # else a few points have markers, of another colour
                 fill="toself",
                 fillcolor=_transparent(colour),
                 line={"width": 0},
                 hoverinfo="skip",
+                legendgroup=curve.name,
                 showlegend=False,
             )
         figure.add_scatter(
             x=short(band.x),
             y=short(band.mean),
             name=curve.name,
+            legendgroup=curve.name,
             mode="lines+markers" if len(band.x) < 2 else "lines",
             line={"color": colour, "width": 2},
         )

@@ -6,17 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import plotly.graph_objects as go
 
 from envs.reference import Reference
 from pipeline.report.charts import Curve, bars, chart, curves_panel, in_order, panels
 from pipeline.report.page import Chart, Section, Table, told_once
+from pipeline.results.curves import AXES, Axis, Band, curves_over, last_of, tells
 from pipeline.results.curves import DIAGNOSTICS as PANELS
-from pipeline.results.curves import Band, curve_of, last_of
 from pipeline.results.run_tables import RETURN, reference_row
 from pipeline.results.runs import RunGroup
 from pipeline.watch.alarm import FADED, FALL, NATS, PREFERENCE
 
-FRAMES = "environment frames"
 SUCCESS = "success_once"
 MARGIN = 0.05
 """Of an axis, beyond what is drawn."""
@@ -89,7 +89,7 @@ DIAGNOSTICS = (
 
 
 def curves(rows: Sequence[RunGroup], reference: Reference | None) -> Section:
-    """Success and return over frames."""
+    """Success and return over frames, simulator steps and wall time."""
     charts: list[Chart] = []
     for key, label, share in (
         (SUCCESS, "share that succeeds", True),
@@ -98,14 +98,21 @@ def curves(rows: Sequence[RunGroup], reference: Reference | None) -> Section:
     ):
         charts += _panels(rows, key, label, share=share, reference=reference)
     lacking = {r.name: "no learning curve" for r in rows if not any(run.curve for run in r.runs)}
+    for axis in AXES:
+        reason = f"no curve over {axis.label}, which not all of its runs told"
+        lacking |= {
+            row.name: reason for row in rows if row.name not in lacking and not tells(row, axis)
+        }
     return Section(
         "curves",
         "Learning curves",
-        "Evaluations while training, of fewer episodes than the final one. Line: mean over seeds; "
-        "band: its 95 % interval (bootstrap over seeds; none with one seed). Level: what was "
-        "learned from demonstrations alone, in the end. Dashed: the published number of the row, "
-        "where there is one.",
+        "Evaluations while training, of fewer episodes than the final one. Line: interquartile "
+        "mean over seeds; band: its 95 % interval (bootstrap, from three seeds on). Level: what "
+        "was learned from demonstrations alone, in the end. Dashed: the published number of the "
+        "row, where there is one. Simulator steps are frames, and what demonstrations and "
+        "rollouts beside them took; evaluations are in none of the axes but wall time.",
         charts=charts,
+        axes=_choice(rows),
         absent=told_once(lacking),
     )
 
@@ -118,43 +125,38 @@ def _panels(
     share: bool = False,
     reference: Reference | None = None,
 ) -> list[Chart]:
-    """Panels of a few rows each, all with one vertical axis."""
-    known = [
-        (place, row, band)
-        for place, row in enumerate(rows)
-        if (band := curve_of(row, key)) is not None
-    ]
-    end = max((band.x[-1] for _, row, band in known if not _offline(row)), default=None)
-    found = [
-        Curve(
-            row.name,
-            band if end is None or not _offline(row) else _level(band, float(end)),
-            place,
-            published(row, key, reference),
-        )
-        for place, row, band in known
-    ]
-    span = None if share or not found else _span([curve.band for curve in found])
-    groups = panels(found, lambda curve: curve.place)
+    """Panels of a few rows each, all with one vertical axis, whatever they are read over."""
+    found = {
+        axis.key: [
+            Curve(rows[place].name, band, place, published(rows[place], key, reference))
+            for place, band in curves_over(rows, key, axis).items()
+        ]
+        for axis in AXES
+    }
+    first = AXES[0]
+    bands = [curve.band for curves in found.values() for curve in curves]
+    span = None if share or not bands else _span(bands)
+    groups = panels(found[first.key], lambda curve: curve.place)
+
+    def figure(group: Sequence[Curve], axis: Axis) -> go.Figure:
+        places = {curve.place for curve in group}
+        shown = [curve for curve in found[axis.key] if curve.place in places]
+        return curves_panel(shown, axis.label, label, share=share, span=span)
+
     return [
         chart(
             f"{label} ({i + 1} of {len(groups)})" if len(groups) > 1 else label,
-            curves_panel(group, FRAMES, label, share=share, span=span),
+            figure(group, first),
+            over={axis.key: figure(group, axis) for axis in AXES[1:] if axis.key in _choice(rows)},
         )
         for i, group in enumerate(groups)
     ]
 
 
-def _offline(row: RunGroup) -> bool:
-    """Whether it took no frames, so that its curve is over its updates."""
-    return row.told("frames") == 0
-
-
-def _level(band: Band, end: float) -> Band:
-    """The last value of a curve, from no frames to ``end``."""
-    return Band(
-        np.array([0.0, end]), *(np.repeat(v[-1], 2) for v in (band.mean, band.low, band.high))
-    )
+def _choice(rows: Sequence[RunGroup]) -> dict[str, str]:
+    """Labels of what curves can be read over, by key; none if only one is told."""
+    told = {axis.key: axis.label for axis in AXES if any(tells(row, axis) for row in rows)}
+    return told if len(told) > 1 else {}
 
 
 def published(row: RunGroup, key: str, reference: Reference | None) -> float | None:
@@ -191,6 +193,7 @@ def diagnostics(rows: Sequence[RunGroup]) -> Section:
         tables=[Table(headers, lines)] if lines else [],
         charts=charts,
         folded=True,
+        axes=_choice(rows),
         absent=[] if lines else ["no run has a learning curve with diagnostics"],
     )
 

@@ -39,6 +39,7 @@ def strategies(rows: Sequence[RunGroup]) -> Section | None:
                 caption="Progress at the last contact: median [10, 90 %] over episodes; travel "
                 "untouched: mean over the episodes that moved something.",
             ),
+            *_held(found, words),
             Table(
                 ["row", "threshold", *words],
                 [line for name, told in found.items() for line in _sensitivity(name, told, words)],
@@ -100,6 +101,28 @@ def _beside(told: Sequence[Strategies]) -> list[str]:
         f"{middle:.3g} [{low:.3g}, {high:.3g}]",
         f"{100 * np.mean(free):.1f}" if free else "-",
     ]
+
+
+def _held(found: Mapping[str, Sequence[Strategies]], words: Mapping[str, str]) -> list[Table]:
+    """How successes were held; nothing where no evaluation says so, as of before it was asked."""
+    lines = []
+    for name, told in found.items():
+        kept = [of.kept_at_end for of in told if of.kept_at_end is not None]
+        lost = [of.lost_at_end for of in told if of.lost_at_end is not None]
+        if kept or lost:
+            by_way = ([share for of in kept if (share := of.get(key)) is not None] for key in words)
+            lines.append([name, *map(_mean_percent, by_way), _mean_percent(lost)])
+    caption = (
+        "By class, % of its episodes that are still a success after their last step, means over "
+        "the seeds that have such episodes. Lost: % of all episodes that were a success once and "
+        "are none after their last step."
+    )
+    head = ["row", *words, "lost, of all"]
+    return [Table(head, lines, "How a success was held", caption)] if lines else []
+
+
+def _mean_percent(shares: Sequence[float]) -> str:
+    return _percent(float(np.mean(shares))) if shares else "-"
 
 
 def _sensitivity(

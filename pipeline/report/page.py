@@ -37,6 +37,8 @@ class Chart:
     figure: str
     wide: bool = False
     """Takes the whole width of the page."""
+    over: Mapping[str, str] = field(default_factory=dict)
+    """The same over the other axes of its section, by their keys."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,8 @@ class Section:
         charts: of the page only.
         clips: of the page only.
         folded: whether the charts are closed until they are asked for.
+        axes: labels by key of what its curves can be read over, the charts' own first; none where
+            there is no choice.
         absent: what cannot be shown and why, a line each.
         told: whether it has its place also with nothing but that.
     """
@@ -76,6 +80,7 @@ class Section:
     charts: Sequence[Chart] = ()
     clips: Sequence[Clip] = ()
     folded: bool = False
+    axes: Mapping[str, str] = field(default_factory=dict)
     absent: Sequence[str] = field(default_factory=tuple)
     told: bool = False
 

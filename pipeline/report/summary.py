@@ -11,13 +11,13 @@ import numpy as np
 from envs.reference import Column, Reference
 from pipeline.report.charts import chart
 from pipeline.report.learning import published
-from pipeline.report.numbers import HOW, estimate
 from pipeline.report.page import Section, Table
 from pipeline.report.plane import Spread, plane
 from pipeline.results import again
+from pipeline.results.estimates import HOW, estimate
 from pipeline.results.evaluation import Movement, Versions
 from pipeline.results.grouping import different, recipe
-from pipeline.results.run_tables import RETURN, cell
+from pipeline.results.run_tables import RETURN, SPENT, cell, spent
 from pipeline.results.runs import EvaluatedRun, RunGroup
 
 HEADLINE = (
@@ -51,13 +51,15 @@ def _beside(
 ) -> Table:
     lines = []
     for row in rows:
-        line = [row.name, str(len(row.evaluations)), _episodes(row)]
+        line = [row.name, str(len(row.evaluations)), _episodes(row), *spent(row.evaluations)]
         for column in columns:
             theirs = published(row, column.key, reference)
-            text = estimate(row, column) or "-"
+            ours = estimate(row, column)
+            text = "-" if ours is None else ours.text(column)
             line.append(text if theirs is None else f"{text} / {cell(column, theirs)}")
         lines.append(line)
-    return Table(["row", "seeds", "episodes", *(c.header for c in columns)], lines, title)
+    headers = ["row", "seeds", "episodes", *SPENT.values(), *(c.header for c in columns)]
+    return Table(headers, lines, title)
 
 
 def _episodes(row: RunGroup) -> str:

@@ -2,22 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.stats import bootstrap
+from numpy.typing import ArrayLike
 
-from pipeline.files.curves import FRAMES, is_number
+from pipeline.files.curves import FRAMES, WALL_S, is_number
 from pipeline.results.runs import EvaluatedRun, RunGroup
+from pipeline.results.statistics import Floats, over_seeds
 
-Floats = NDArray[np.float64]
-REPETITIONS: Final = 2000
-"""Bootstrap samples."""
-SEED: Final = 0
-"""Of the bootstrap: the same runs give the same interval."""
+
+@dataclass(frozen=True)
+class Axis:
+    """What a learning curve is drawn over.
+
+    Attributes:
+        key: column of the learning curve.
+        label: with the unit.
+        scale: turns the column's unit into the label's.
+        points: of an even grid for runs that are measured at other places than one another; None
+            takes the places of a row's first run.
+    """
+
+    key: str
+    label: str
+    scale: float = 1.0
+    points: int | None = None
+
+
+AXES: Final = (
+    Axis(FRAMES, "environment frames"),
+    Axis("simulator_steps", "simulator steps"),
+    Axis(WALL_S, "wall time (min)", 1 / 60, points=60),
+)
+"""Frames alone are not what a run costs: demonstrations are simulated too, and time is another."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +67,11 @@ DIAGNOSTICS: Final = (
 
 @dataclass(frozen=True)
 class Band:
-    """A curve of a group: shapes [T]; ``low`` and ``high`` equal ``mean`` for one run."""
+    """A curve of a group: shapes [T].
+
+    ``mean`` is the interquartile mean over runs, ``low`` and ``high`` bound its 95 % interval; of
+    one or two runs there is none, and they equal the mean (``statistics.over_seeds``).
+    """
 
     x: Floats
     mean: Floats
@@ -55,34 +79,11 @@ class Band:
     high: Floats
 
 
-Statistic = Callable[[Floats], tuple[Floats, Floats, Floats]]
-"""Of values [S, T] of S > 1 runs: a mean and the bounds of its 95 % interval, each [T]."""
-
-
-def mean_over_runs(values: ArrayLike) -> tuple[Floats, Floats, Floats]:
-    """Mean over runs and its 95 % interval, a percentile bootstrap of them; each [T].
-
-    Args:
-        values: [S, T] of S > 1 runs.
-    """
-    array = np.asarray(values, dtype=np.float64)
-    found = bootstrap(
-        (array,),
-        np.mean,
-        n_resamples=REPETITIONS,
-        vectorized=True,
-        method="percentile",
-        random_state=np.random.default_rng(SEED),
-    ).confidence_interval
-    return array.mean(axis=0), found.low, found.high
-
-
 def curve_of(
     group: RunGroup,
     key: str,
     x: str = FRAMES,
     *,
-    statistic: Statistic = mean_over_runs,
     points: int | None = None,
 ) -> Band | None:
     """A column of the learning curves of a group, as far as the shortest of them.
@@ -94,7 +95,6 @@ def curve_of(
         group: Its runs.
         key: Of the column.
         x: Of the column over which it is.
-        statistic: Over the runs.
         points: Of an even grid that begins at 0; None takes the places of the first run.
     """
     measured = [(places, values) for run in group.runs for places, values in [column(run, key, x)]]
@@ -107,9 +107,57 @@ def curve_of(
     if not grid.size:
         return None
     values = np.stack([on_grid(places, values, grid) for places, values in curves])
-    if len(values) == 1:
-        return Band(grid, values[0], values[0], values[0])
-    return Band(grid, *statistic(values))
+    found = over_seeds(values)
+    return Band(grid, found.iqm, found.low, found.high)
+
+
+def curves_over(rows: Sequence[RunGroup], key: str, axis: Axis) -> dict[int, Band]:
+    """Curves of several rows over one axis, by the place of the row among them.
+
+    A row is left out if one of its runs has the column but not the axis, as of before simulator
+    steps were counted: what nobody counted is not 0. A row that took no frames counts updates, so
+    over frames and simulator steps it is a level: what it reached in the end, from where it had
+    taken all its steps to the end of the longest other curve.
+
+    Args:
+        rows: In their order.
+        key: Of the column.
+        axis: See ``AXES``.
+    """
+    found = {
+        place: band
+        for place, row in enumerate(rows)
+        if all(len(column(run, key, axis.key)[0]) for run in row.runs if len(column(run, key)[0]))
+        if (band := curve_of(row, key, axis.key, points=axis.points if len(row.runs) > 1 else None))
+    }
+    if axis.key != WALL_S:
+        learning = [band.x[-1] for place, band in found.items() if not is_offline(rows[place])]
+        if learning:
+            end = float(max(learning))
+            found = {
+                place: _level(band, 0.0 if axis.key == FRAMES else float(band.x[-1]), end)
+                if is_offline(rows[place])
+                else band
+                for place, band in found.items()
+            }
+    return {place: replace(band, x=axis.scale * band.x) for place, band in found.items()}
+
+
+def tells(row: RunGroup, axis: Axis) -> bool:
+    """Whether every learning curve of a row tells an axis; False without any."""
+    known = [run for run in row.runs if run.curve]
+    return bool(known) and all(len(column(run, axis.key)[0]) for run in known)
+
+
+def is_offline(row: RunGroup) -> bool:
+    """Whether it took no frames, so that its learning curve is over updates."""
+    return bool(row.told("frames") == 0)
+
+
+def _level(band: Band, begin: float, end: float) -> Band:
+    """The last value of a curve."""
+    x = np.unique([begin, max(begin, end)])
+    return Band(x, *(np.repeat(v[-1], len(x)) for v in (band.mean, band.low, band.high)))
 
 
 def column(run: EvaluatedRun, key: str, x: str = FRAMES) -> tuple[Floats, Floats]:

@@ -9,8 +9,9 @@ from typing import Any
 
 from pipeline.files.run_files import EVALUATION, as_json, write_atomically
 from pipeline.results.cells import OWN
+from pipeline.results.curves import AXES
 from pipeline.results.export import export_policy, exported_seed
-from pipeline.results.plots import AXES, plot_curves, plot_diagnostics
+from pipeline.results.plots import plot_curves, plot_diagnostics
 from pipeline.results.reading import ROWS, SEED
 from pipeline.results.rows import (
     in_published_order,
@@ -73,7 +74,7 @@ def publish(
         if policies:
             _export(row, out / POLICIES / row.name)
     for x in AXES:
-        plot_curves(rows, x, out / f"curves_{x}.png")
+        plot_curves(rows, x, out / f"curves_{x.key}.png")
     write_atomically(out / TABLE, as_json(table(rows), indent=1) + "\n")
     write_atomically(out / TABLES, render_rows(rows, reference) + "\n")
     write_atomically(out / SUMMARY, render_summary(rows, reference) + "\n")

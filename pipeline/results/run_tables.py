@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from statistics import fmean
 
 import numpy as np
 from tabulate import tabulate
@@ -15,6 +16,8 @@ from envs.task import MissingCapabilityError
 from pipeline.results.evaluation import Evaluation
 
 RETURN = "return_mean"
+SPENT = {"frames": "frames", "simulator_steps": "simulator steps"}
+"""What a run cost, as its evaluation tells it, and the headers of tables."""
 NORMAL_95 = 1.959964
 """Deviations of a normal distribution within which 95 % lie."""
 
@@ -82,6 +85,7 @@ def _table(
         made_from = evaluation.made_from
         theirs = reference_row(reference, made_from.variant, made_from.bc_weight) or {}
         row: list[object] = [made_from.variant, made_from.seed, evaluation.episodes]
+        row += spent([evaluation])
         for column in columns:
             if column.key not in evaluation.content:
                 raise ValueError(
@@ -93,8 +97,17 @@ def _table(
             ours = cell(column, None) if value is None else with_interval(column, value, interval)
             row.append(f"{ours} / {cell(column, theirs.get(column.key))}")
         rows.append(row)
-    headers = ["variant", "seed", "episodes", *(column.header for column in columns)]
+    headers = ["variant", "seed", "episodes", *SPENT.values(), *(c.header for c in columns)]
     return tabulate(rows, headers=headers, tablefmt="github")
+
+
+def spent(evaluations: Sequence[Evaluation]) -> list[str]:
+    """The cells under ``SPENT``: means over runs.
+
+    A dash where a run does not tell, which is not 0: simulator steps were not always counted.
+    """
+    told = [[getattr(one.made_from, key) for one in evaluations] for key in SPENT]
+    return [f"{fmean(v):,.0f}" if v and None not in v else "-" for v in told]
 
 
 def over_episodes(evaluation: Evaluation, column: Column) -> tuple[float, float] | None:

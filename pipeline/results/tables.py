@@ -8,19 +8,18 @@ from statistics import fmean
 from tabulate import tabulate
 
 from envs.reference import Column, Reference
-from pipeline.results.run_tables import cell, reference_row
+from pipeline.results.estimates import estimate
+from pipeline.results.run_tables import SPENT, cell, reference_row, spent
 from pipeline.results.runs import RunGroup
-from pipeline.results.statistics import Estimate, interquartile_means
 
 
 def render_rows(rows: Sequence[RunGroup], reference: Reference) -> str:
-    """The task's tables in Markdown: interquartile mean [95 % interval] over seeds / published.
+    """The task's tables in Markdown: estimate [95 % interval] / published, see ``estimates.HOW``.
 
-    A row with one seed has no interval; a cell without a value in some seed (none got so far) shows
-    none.
+    A cell without a value in some seed (none got so far) shows none.
     """
     return "\n\n".join(
-        f"**{title}** (ours, IQM over seeds with 95 % interval / {reference.source})\n\n"
+        f"**{title}** (ours with 95 % interval / {reference.source})\n\n"
         + _table(rows, columns, reference)
         for title, columns in reference.tables.items()
     )
@@ -37,6 +36,7 @@ def render_summary(rows: Sequence[RunGroup], reference: Reference) -> str:
         [
             f"`{row.name}`",
             len(row.runs),
+            *spent(row.evaluations),
             *(
                 cell(column, _mean(row, column.key)) + (f" / {theirs}" if theirs != "-" else "")
                 for column in columns
@@ -64,20 +64,14 @@ def _table(rows: Sequence[RunGroup], columns: Sequence[Column], reference: Refer
     lines = []
     for row in rows:
         cells = [_cell(row, column, reference) for column in columns]
-        lines.append([row.name, len(row.runs), *cells])
+        lines.append([row.name, len(row.runs), *spent(row.evaluations), *cells])
     return tabulate(lines, headers=_headers(columns), tablefmt="github")
 
 
 def _headers(columns: Sequence[Column]) -> list[str]:
-    return ["row", "seeds", *(column.header for column in columns)]
+    return ["row", "seeds", *SPENT.values(), *(column.header for column in columns)]
 
 
 def _cell(row: RunGroup, column: Column, reference: Reference) -> str:
-    figures, theirs = row.figures(column.key), _theirs(row, column, reference)
-    if not figures:
-        return f"- / {theirs}"
-    if len(figures) == 1:  # an interval would pretend that there are others
-        return f"{cell(column, figures[0])} / {theirs}"
-    estimate: Estimate = interquartile_means({row.name: [[v] for v in figures]})[row.name]
-    low, high = (cell(column, float(bound[0])) for bound in (estimate.low, estimate.high))
-    return f"{cell(column, float(estimate.iqm[0]))} [{low}, {high}] / {theirs}"
+    ours = estimate(row, column)
+    return f"{'-' if ours is None else ours.text(column)} / {_theirs(row, column, reference)}"

@@ -88,4 +88,4 @@ def test_a_table_has_the_means_and_the_worst_seed():
     shares = [row[seed]["share_gt_1_35"] for seed in (6, 8)]
     assert shares == [0.959, 0.966], "of the published files"
     line = lab.results(["best_heads"]).splitlines()[2]
-    assert line.startswith("| `best_heads` | 2 | 96.2 % | 95.9 % | 1,880 |")
+    assert line.startswith("| `best_heads` | 2 | 100,000 | - | 96.2 % | 95.9 % | 1,880 |")

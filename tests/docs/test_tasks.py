@@ -22,7 +22,7 @@ Publish = Callable[..., None]
 
 def cell(
     task: str, row: str, seed: int = 0, reward: str = "dense", once: float | None = 0.9,
-    **told: Any,
+    counted: bool = True, **told: Any,
 ) -> Cell:  # fmt: skip
     """A run of 100 episodes with a curve of two points."""
     evaluation = {
@@ -42,7 +42,13 @@ def cell(
         "demonstrations": 25, "demonstrations_by": "robot", "demonstrations_multiplied": True,
     }  # fmt: skip
     curve = tuple(
-        {"frames": frames, "success_once": None if once is None else score, "return_mean": score}
+        {
+            "frames": frames,
+            "simulator_steps": frames + 1030 if counted else None,
+            "wall_s": 6.0 * frames,
+            "success_once": None if once is None else score,
+            "return_mean": score,
+        }
         for frames, score in ((0, 0.0), (100, 0.9))
     )
     run = EvaluatedRun(Path("run"), Evaluation.of(evaluation | told), curve)
@@ -165,7 +171,7 @@ def test_tasks_stand_together_where_a_row_has_all_of_them(publish: Publish):
     publish(*(cell(task, "bc", once=score) for task, score in of_bc), *some)
     lines = task_tables.aggregate().splitlines()[2:]
     # The middle half of four: (0.4 + 0.6) / 2; one seed, so no interval.
-    assert lines == ["| `bc` | dense | 1 | 50.0 % | 0.0 % |"]
+    assert lines == ["| `bc` | dense | 1 | 100 | 1,130 | 50.0 % | 0.0 % |"]
     assert task_tables.complete("sparse") == {}
 
 
@@ -184,7 +190,7 @@ def test_no_row_has_every_task_yet(publish: Publish):
 def test_a_method_shows_its_own_cells(publish: Publish):
     publish(cell("hammer", "bc"), cell("hammer", "best"))
     (line,) = task_tables.rows_of(["bc"]).splitlines()[2:]
-    assert line.startswith("| `hammer` | dense | `bc` | 1 | 90.0 % [82.6, 94.5] | 50.0 % [")
+    assert line.startswith("| `hammer` | dense | `bc` | 1 | 100 | 1,130 | 90.0 % [82.6, 94.5] | ")
     assert line.endswith("| 10.0 [9.0, 11.0] | 41.0 |")
     assert "`make rows TASK=hammer ROWS=loki` makes one" in task_tables.rows_of(["loki"])
 
@@ -193,16 +199,29 @@ def test_a_method_shows_its_curves(publish: Publish, tmp_path: Path):
     publish(cell("hammer", "bc"), cell("pen", "bc"), cell("pen", "sac"))
     page = Page(DOCS / "methods" / "bc.md", {"variants": ["bc"]}, "")
     link = curves.of_method(page)
-    assert link.startswith("![learning curves: hammer, dense; pen, dense](")
+    assert link.startswith("![learning curves over environment frames, simulator steps, wall time")
     path = tmp_path / "figures" / "bc_curves.svg"
     drawn = path.read_text()
-    for words in ("hammer, dense", "pen, dense", "bc, 1 seed", "success once"):
+    assert "hammer, dense; pen, dense](" in link
+    words_of_axes = ("environment frames", "simulator steps", "wall time (min)")
+    for words in ("hammer, dense", "pen, dense", "bc, 1 seed", "success once", *words_of_axes):
         assert f">{words}<" in drawn
+    assert drawn.count(">hammer, dense<") == 3, "a panel for each axis"
     assert ">sac" not in drawn
     curves.of_method(page)
     assert path.read_text() == drawn, "the same data, the same file"
     without = Page(DOCS / "methods" / "loki.md", {"variants": ["loki"]}, "")
     assert curves.of_method(without) == "No learning curve of this method is published yet."
+
+
+def test_a_curve_of_before_steps_were_counted_is_named_and_not_drawn(
+    publish: Publish, tmp_path: Path
+):
+    publish(cell("hammer", "bc", counted=False))
+    curves.of_method(Page(DOCS / "methods" / "bc.md", {"variants": ["bc"]}, ""))
+    drawn = (tmp_path / "figures" / "bc_curves.svg").read_text()
+    assert drawn.count(">not counted:<") == 1
+    assert drawn.count(">bc, 1 seed<") == 2
 
 
 def test_a_profile_is_drawn_of_all_tasks(publish: Publish, tmp_path: Path):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +11,14 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from rliable import library, metrics
 from tensordict import TensorDict
 from typer.testing import CliRunner
 
 from configs import compose
 from envs.door.definition import TASK
 from envs.door.paper import PAPER
+from envs.reference import Column
 from pipeline.build import build_run
 from pipeline.cli import app
 from pipeline.commands.evaluate_run import evaluate_run
@@ -25,6 +26,7 @@ from pipeline.files.run_files import EVALUATION, RunDirectoryError
 from pipeline.policy import WEIGHTS, load_policy
 from pipeline.results import statistics
 from pipeline.results.curves import on_grid
+from pipeline.results.estimates import estimate
 from pipeline.results.evaluation import Evaluation
 from pipeline.results.export import card_of, export_policy, exported_seed
 from pipeline.results.publish import publish
@@ -36,15 +38,6 @@ from pipeline.run_dir import load_recipe, saved_recipe
 from tests.pipeline.results.evaluated import evaluation_of
 from tests.pipeline.toys import tiny_config
 
-
-@pytest.fixture(autouse=True, scope="module")
-def few_draws() -> Iterator[None]:
-    """Intervals are drawn for each row of each of a dozen sets here; how finely is not asked."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(statistics, "REPETITIONS", 50)
-        yield
-
-
 # ------------------------------------------------------------------------------------ statistics
 
 
@@ -55,6 +48,54 @@ def test_the_interquartile_mean_leaves_out_the_best_and_the_worst_of_five():
     assert found["a"].iqm.tolist() == [2.0, 5.0]
     assert 0.0 <= found["a"].low[0] < 2.0 < found["a"].high[0] <= 99.0
     assert found["a"].low[1] == found["a"].high[1] == 5.0
+
+
+def test_intervals_are_those_of_rliable_s_own_function():
+    """Ours takes its draws, all at once: the numbers are the same to the last digit."""
+    scores = np.random.default_rng(1).normal(size=(7, 1))
+    state = np.random.get_state()
+    np.random.seed(statistics.SEED)
+    try:
+        points, intervals = library.get_interval_estimates(
+            {"a": scores},
+            lambda runs: np.array([metrics.aggregate_iqm(runs)]),
+            reps=statistics.REPETITIONS,
+        )
+    finally:
+        np.random.set_state(state)
+    found = interquartile_means({"a": scores})["a"]
+    assert found.iqm == pytest.approx(points["a"])
+    low, high = intervals["a"]
+    assert (found.low, found.high) == (pytest.approx(low), pytest.approx(high))
+
+
+def test_every_point_of_a_long_curve_has_its_interval():
+    """More points than are held together, each at the interval of the first."""
+    scores = np.array([[1.0], [2.0], [4.0], [9.0]])
+    one, many = (interquartile_means({"a": s})["a"] for s in (scores, np.tile(scores, 150)))
+    assert many.low.tolist() == one.low.tolist() * 150
+    assert many.high.tolist() == one.high.tolist() * 150
+    assert one.low < one.iqm < one.high
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        # One: Wilson's over its episodes, 90 of 100 (see test_run_tables.py).
+        ([0.9], "90.0 % [82.6, 94.5]"),
+        ([0.2, 0.4], "30.0 %"),
+        ([0.4, 0.4, 0.4], "40.0 % [40.0, 40.0]"),
+    ],
+)
+def test_from_three_seeds_on_an_interval_is_of_the_seeds(values: list[float], told: str):
+    runs = (
+        EvaluatedRun(Path("run"), evaluation_of({"seed": n}, success_once=value))
+        for n, value in enumerate(values)
+    )
+    column = Column("success_once", "success", percent=True)
+    found = estimate(RunGroup("row", tuple(runs)), column)
+    assert found is not None
+    assert found.text(column) == told
 
 
 def test_over_tasks_the_middle_half_of_all_runs_counts():
@@ -152,7 +193,8 @@ def test_curves_keep_a_row_for_each_evaluation(published: Path):
 
 
 def test_figures_are_drawn(published: Path):
-    for name in ("curves_frames.png", "curves_wall_s.png", "rows/best_of_two/diagnostics.png"):
+    names = ("curves_frames", "curves_simulator_steps", "curves_wall_s")
+    for name in (*(f"{n}.png" for n in names), "rows/best_of_two/diagnostics.png"):
         assert (published / name).stat().st_size > 5000
 
 
@@ -160,11 +202,14 @@ def test_the_tables_have_a_line_for_each_row(published: Path):
     text = (published / "tables.md").read_text()
     assert text.count("| best_of_two |") == 2
     (bc,) = (line for line in text.splitlines() if line.startswith("| bc ") and "27.6" in line)
-    assert "| 0.0 % / 27.6 %" in bc
+    # Wilson's interval of 0 of 2 episodes: 1.96^2 / (2 + 1.96^2) = 65.8 %.
+    assert "| 0.0 % [0.0, 65.8] / 27.6 %" in bc
     (two,) = (line for line in text.split("Table II")[1].splitlines() if "best_of_two" in line)
     # The paper does not say how many doors are open at the end, or for how long.
-    none = "| 0.0 % [0.0 %, 0.0 %] / "
-    assert two.endswith(f"{none}94.8 % {none}- {none}- |")
+    # Of two seeds there is no interval.
+    assert [cell.strip() for cell in two.split("|")[-4:-1]] == [
+        "0.0 % / 94.8 %", "0.0 % / -", "0.0 % / -",
+    ]  # fmt: skip
 
 
 def test_the_summary_is_the_mean_over_seeds_beside_the_paper_s_number():
@@ -176,7 +221,7 @@ def test_the_summary_is_the_mean_over_seeds_beside_the_paper_s_number():
                 EvaluatedRun(
                     Path("run"),
                     evaluation_of(
-                        {"seed": seed, "variant": variant},
+                        {"seed": seed, "variant": variant, "frames": 1000 + seed, **steps},
                         return_mean=value,
                         share_gt_1_35=share,
                         success_at_end=share / 2,
@@ -186,13 +231,19 @@ def test_the_summary_is_the_mean_over_seeds_beside_the_paper_s_number():
                 for seed, (value, share) in enumerate(((1.0, 1.0), (2.0, 0.97), (9.0, 0.4)))
             ),
         )
-        for name, variant in (("dbc_sac", "dbc_sac"), ("ours", "best"))
+        for name, variant, steps in (
+            ("dbc_sac", "dbc_sac", {"simulator_steps": 25_000}),
+            ("ours", "best", {}),
+        )
     ]
     theirs, ours = (line.split("|")[1:-1] for line in render_summary(rows, PAPER).splitlines()[2:])
-    assert [cell.strip() for cell in theirs[:3]] == ["`dbc_sac`", "3", "4.0 / 966.7"]
+    assert [cell.strip() for cell in theirs[:5]] == [
+        "`dbc_sac`", "3", "1,001", "25,000", "4.0 / 966.7",
+    ]  # fmt: skip
     # None of DAPG's in these evaluations, as in those of before.
     assert [cell.strip() for cell in theirs[-3:]] == ["79.0 % / 94.8 %", "39.5 %", "-"]
-    assert [ours[2].strip(), ours[-3].strip()] == ["4.0", "79.0 %"]
+    # Nobody counted the steps of ours, which is not 0.
+    assert [ours[n].strip() for n in (3, 4, -3)] == ["-", "4.0", "79.0 %"]
 
 
 def test_a_published_policy_acts_like_its_run(runs: Path, published: Path):

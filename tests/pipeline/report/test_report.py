@@ -100,12 +100,15 @@ def test_runs_of_two_tasks_have_no_report(tmp_path: Path):
 # ------------------------------------------------------------------------------------ numbers
 
 
-def test_intervals_of_several_seeds_are_over_seeds(two_seeds: Report):
-    # Of two seeds the bootstrap's means are 0.5, 0.75 and 1, a quarter of them at either end.
+def test_intervals_of_several_seeds_are_over_seeds(two_seeds: Report, tmp_path: Path):
     # The paper's DBC-SAC opens 94.8 % beyond 1.35 rad, with a return of 966.7.
     found = line(two_seeds, "results", "dbc_sac")
-    assert found["success"] == "75.0 % [50.0, 100.0] / 94.8 %"
-    assert found["return"] == "7.5 [5.0, 10.0] / 966.7"
+    assert found["success"] == "75.0 % / 94.8 %", "of two seeds there is no interval"
+    assert found["return"] == "7.5 / 966.7"
+    make_run(tmp_path / "c", seed=2, successes=0)
+    three = reported(*(tmp_path / name for name in "abc"))
+    # Interquartile means of three draws of 0, 0.5 and 1; all three are the same in 1 of 9.
+    assert line(three, "results", "dbc_sac")["success"] == "50.0 % [0.0, 100.0] / 94.8 %"
 
 
 def test_the_interval_of_one_seed_is_over_its_episodes(tmp_path: Path):
@@ -140,13 +143,67 @@ def test_sections_without_anything_to_show_are_told_together(tmp_path: Path):
 
 
 def test_curves_are_means_over_seeds_with_the_published_number(two_seeds: Report):
-    band, mean = drawn(two_seeds, "curves", "share that succeeds")
+    (mean,) = drawn(two_seeds, "curves", "share that succeeds")
     assert mean["x"] == [0.0, 100.0]
     assert mean["y"] == pytest.approx([0.0, 0.4])
-    assert band["y"] == pytest.approx([0.0, 0.6, 0.2, 0.0])  # there and back
     figure = json.loads(section(two_seeds, "curves").charts[0].figure)
     assert [shape["y0"] for shape in figure["layout"]["shapes"]] == [0.948]
     assert figure["layout"]["yaxis"]["range"] == [-0.02, 1.02]
+
+
+def test_a_band_goes_there_and_back(tmp_path: Path):
+    for seed, last in enumerate((0.2, 0.6, 0.4)):
+        make_run(tmp_path / f"{seed}", seed=seed, points=curve(0.0, last))
+    band, mean = drawn(reported(*tmp_path.iterdir()), "curves", "share that succeeds")
+    assert mean["y"] == pytest.approx([0.0, 0.4])
+    assert band["x"] == [0.0, 100.0, 100.0, 0.0]
+    assert (band["mode"], mean["mode"]) == ("lines", "lines"), "no markers at the corners"
+    assert band["y"] == pytest.approx([0.0, 0.6, 0.2, 0.0])
+
+
+def counted(*success: float) -> list[dict[str, Any]]:
+    """A learning curve that tells everything that the run has spent."""
+    rows = curve(*success)
+    return [{**row, "simulator_steps": row["frames"] + 500, "wall_s": 60.0 * n}
+            for n, row in enumerate(rows)]  # fmt: skip
+
+
+def test_curves_can_be_read_over_everything_that_a_run_costs(tmp_path: Path):
+    make_run(tmp_path / "new" / "seed0", points=counted(0.0, 0.5))
+    make_run(tmp_path / "older" / "seed0", points=curve(0.0, 0.2))
+    report = reported(tmp_path)
+    shown = section(report, "curves")
+    assert shown.axes == {
+        "frames": "environment frames",
+        "simulator_steps": "simulator steps",
+        "wall_s": "wall time (min)",
+    }
+    first = shown.charts[0]
+    assert [trace["name"] for trace in json.loads(first.figure)["data"]] == ["new", "older"]
+    (steps,) = json.loads(first.over["simulator_steps"])["data"]
+    assert (steps["name"], steps["x"], steps["y"]) == ("new", [500.0, 600.0], [0.0, 0.5])
+    (wall,) = json.loads(first.over["wall_s"])["data"]
+    assert (wall["x"][-1], wall["y"][-1]) == (1.0, 0.5)
+    assert "older: no curve over simulator steps, which not all of its runs told" in shown.absent
+
+
+def test_without_another_axis_there_is_no_choice(two_seeds: Report):
+    shown = section(two_seeds, "curves")
+    assert shown.axes == {}
+    assert not any(chart.over for chart in shown.charts)
+    assert 'class="switch"' not in two_seeds.html()
+
+
+def test_frames_and_simulator_steps_stand_beside_each_other(tmp_path: Path):
+    run = make_run(tmp_path / "a")
+    assert line(reported(run), "results", "dbc_sac")["simulator steps"] == "-"
+    evaluation = json.loads((run / "evaluation.json").read_text())
+    del evaluation["sha256"]
+    evaluation["made_from"]["simulator_steps"] = 1540
+    (run / "evaluation.json").write_text(json.dumps(evaluation))
+    for table in range(3):
+        found = line(reported(run), "results", "dbc_sac", table)
+        assert (found["frames"], found["simulator steps"]) == ("40", "1,540")
 
 
 def test_four_rows_a_panel(tmp_path: Path):
@@ -377,7 +434,7 @@ def test_the_page_holds_every_chart_and_table(two_seeds: Report):
     charts = re.findall(r'<script type="application/json">(.*?)</script>', page, re.DOTALL)
     assert len(charts) == sum(len(part.charts) for part in two_seeds.sections)
     assert all(json.loads(chart)["data"] for chart in charts)
-    assert "75.0 % [50.0, 100.0] / 94.8 %" in page
+    assert "75.0 % / 94.8 %" in page
 
 
 def test_names_of_runs_are_text_and_no_markup(tmp_path: Path):
@@ -424,10 +481,22 @@ def test_strategies_are_means_over_seeds_with_their_thresholds(tmp_path: Path):
     shown = section(reported(tmp_path), "strategies")
     assert "'grasp': led by a grasp" in shown.text
     assert shown.tables[0].rows == [["dbc_sac", "40", "60", "1.2 [1, 1.4]", "20.0"]]
-    # What is told at 0.25, the threshold in use, stands above.
+    # What is told at 0.25, the threshold in use, stands above; nothing is told of how it was held.
     assert shown.tables[1].rows == [["dbc_sac", "untouched 0.1", "0", "100"]]
     bars = drawn(reported(tmp_path), "strategies", "strategies")
     assert {trace["name"]: trace["x"] for trace in bars} == {"grasp": [0.4], "flung": [0.6]}
+
+
+def test_a_success_is_kept_or_lost_at_the_end(tmp_path: Path):
+    """Means over the seeds that tell: nothing was ever flung by the first."""
+    for seed, (flung, lost) in enumerate(((None, 0.1), (0.2, 0.3))):
+        held = {"kept_at_end": {"grasp": 0.9 - seed / 5, "flung": flung}, "lost_at_end": lost}
+        further = {"strategies": told_strategies(0.5) | held}
+        make_run(tmp_path / "told" / f"seed{seed}", seed=seed, further=further)
+    make_run(tmp_path / "older" / "seed0", further={"strategies": told_strategies(0.5)})
+    shown = section(reported(tmp_path), "strategies").tables[1]
+    assert shown.headers == ["row", "grasp", "flung", "lost, of all"]
+    assert shown.rows == [["told", "80", "20", "20"]]
 
 
 def test_what_a_run_withstands_is_shown_where_it_was_asked(tmp_path: Path):

@@ -25,9 +25,10 @@ DA-SAC                46.0    5.2  11.0
 """
 
 
-def evaluation(variant: str = "dbc_sac", **changes) -> Evaluation:
+def evaluation(variant: str = "dbc_sac", steps: int | None = None, **changes) -> Evaluation:
     columns = dict.fromkeys([c.key for table in PAPER.tables.values() for c in table], 0.5)
-    made_from = {"variant": variant, "seed": 3, "bc_weight": 1.0, "task": "door"}
+    made_from = {"variant": variant, "seed": 3, "bc_weight": 1.0, "task": "door", "frames": 1000}
+    made_from |= {} if steps is None else {"simulator_steps": steps}
     return evaluation_of(made_from, **({"episodes": 1000} | columns | changes))
 
 
@@ -84,14 +85,23 @@ def test_ours_stand_beside_the_papers():
     first, second, *_ = cells(render([evaluation(**changes, episodes=100)], PAPER), "dbc_sac")
     # 800.04 +- 1.96 * 100 / sqrt(100).
     returns = "800.0 [780.4, 819.6] / 966.7"
-    assert first == ["dbc_sac", "3", "100", returns, "0.5 / 86.4", "0.5 / 86.5"]
+    assert first == ["dbc_sac", "3", "100", "1,000", "-", returns, "0.5 / 86.4", "0.5 / 86.5"]
     # Wilson, z2 = 3.8415: (p + z2/200 +- z sqrt(p (1 - p)/100 + z2/40000)) / (1 + z2/100).
-    assert second[3:7] == [
+    assert second[5:9] == [
         "50.0 % [40.4, 59.6] / 99.9 %",
         "50.0 % [40.4, 59.6] / 99.3 %",
         "50.0 % [40.4, 59.6] / 98.2 %",
         "90.0 % [82.6, 94.5] / 94.8 %",
     ]
+
+
+def test_frames_and_all_simulator_steps_stand_beside_each_other():
+    text = render([evaluation(steps=268_770), evaluation("bc")], PAPER)
+    head = next(line for line in text.splitlines() if line.startswith("| variant"))
+    assert [cell.strip() for cell in head.split("|")[4:6]] == ["frames", "simulator steps"]
+    assert [found[3:5] for found in cells(text, "dbc_sac")] == [["1,000", "268,770"]] * 2
+    # Of before they were counted: not 0.
+    assert [found[3:5] for found in cells(text, "bc")] == [["1,000", "-"]] * 2
 
 
 def test_a_door_that_never_opened_has_no_angle():
@@ -101,8 +111,8 @@ def test_a_door_that_never_opened_has_no_angle():
 
 def test_a_variant_of_ones_own_has_no_paper_row():
     first, second, *_ = cells(render([evaluation("mine")], PAPER), "mine")
-    assert first[3:] == ["0.5 / -"] * 3
-    assert second[3:] == ["50.0 % [46.9, 53.1] / -"] * 6
+    assert first[5:] == ["0.5 / -"] * 3
+    assert second[5:] == ["50.0 % [46.9, 53.1] / -"] * 6
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.files.run_files import RunDirectoryError
-from pipeline.results.curves import Floats, curve_of, last_of
+from pipeline.results.curves import AXES, curve_of, curves_over, last_of
 from pipeline.results.reading import load_run
 from pipeline.results.runs import EvaluatedRun, RunGroup
 from tests.pipeline.results.evaluated import evaluated, evaluation_of
@@ -17,10 +17,6 @@ from tests.pipeline.results.evaluated import evaluated, evaluation_of
 
 def group(*curves: list[dict[str, Any]]) -> RunGroup:
     return RunGroup("row", tuple(EvaluatedRun(Path("run"), curve=curve) for curve in curves))
-
-
-def least(values: Floats) -> tuple[Floats, Floats, Floats]:
-    return values.min(axis=0), values.min(axis=0), values.max(axis=0)
 
 
 def test_a_run_without_an_evaluation_names_the_remedy(tmp_path: Path):
@@ -53,11 +49,10 @@ def test_a_curve_goes_as_far_as_the_shortest_at_the_places_of_the_first():
             [{"frames": 0, "y": None}, {"frames": 1}],  # tells nothing
         ),
         "y",
-        statistic=least,
     )
     assert found is not None
     assert found.x.tolist() == [0.0, 10.0]
-    assert (found.mean.tolist(), found.high.tolist()) == ([1.0, 3.0], [2.0, 7.0])
+    assert (found.mean.tolist(), found.high.tolist()) == ([1.5, 5.0], [1.5, 5.0])
 
 
 def test_a_curve_over_time_has_an_even_grid():
@@ -68,6 +63,47 @@ def test_a_curve_over_time_has_an_even_grid():
     assert found.mean.tolist() == [5.0, 5.0, 5.0, 5.0, 6.0]
     assert np.array_equal(found.low, found.high)
     assert curve_of(group(points), "z") is None
+
+
+def over(key: str, *rows: RunGroup) -> dict[int, tuple[list[float], list[float]]]:
+    """Places and means of the rows' curves over one axis."""
+    (axis,) = (axis for axis in AXES if axis.key == key)
+    return {n: (b.x.tolist(), b.mean.tolist()) for n, b in curves_over(rows, "y", axis).items()}
+
+
+def of_frames(frames: int, *curves: list[dict[str, Any]]) -> RunGroup:
+    evaluation = evaluation_of({"frames": frames})
+    return RunGroup("row", tuple(EvaluatedRun(Path("r"), evaluation, c) for c in curves))
+
+
+def point(frames: int, steps: int | None, wall_s: float, y: float) -> dict[str, Any]:
+    told = {} if steps is None else {"simulator_steps": steps}
+    return {"frames": frames, "wall_s": wall_s, "y": y, **told}
+
+
+def test_a_curve_over_simulator_steps_begins_where_demonstrations_end():
+    learner = of_frames(100, [point(0, 500, 60.0, 0.2), point(100, 600, 120.0, 0.8)])
+    assert over("frames", learner) == {0: ([0, 100], [0.2, 0.8])}
+    assert over("simulator_steps", learner) == {0: ([500, 600], [0.2, 0.8])}
+    assert over("wall_s", learner) == {0: ([1, 2], [0.2, 0.8])}  # min
+
+
+def test_a_clone_is_a_level_over_what_it_does_not_spend():
+    learner = of_frames(100, [point(0, 500, 60.0, 0.2), point(100, 600, 120.0, 0.8)])
+    clone = of_frames(0, [point(0, 450, 6.0, 0.0), point(5000, 450, 30.0, 0.7)])
+    assert over("frames", learner, clone)[1] == ([0, 100], [0.7, 0.7])
+    assert over("simulator_steps", learner, clone)[1] == ([450, 600], [0.7, 0.7])
+    assert over("wall_s", learner, clone)[1] == ([0.1, 0.5], [0.0, 0.7])
+    # Alone it is all that there is to see.
+    assert over("frames", clone)[0] == ([0, 5000], [0.0, 0.7])
+    assert over("simulator_steps", clone)[0] == ([450], [0.7])
+
+
+def test_what_nobody_counted_is_no_curve():
+    older = of_frames(100, [point(0, None, 1.0, 0.2), point(100, None, 2.0, 0.8)])
+    both = of_frames(100, [point(0, 5, 1.0, 0.2)], [point(0, None, 1.0, 0.2)])
+    assert over("simulator_steps", older, both) == {}
+    assert list(over("frames", older, both)) == [0, 1]
 
 
 def test_the_last_value_is_the_last_that_is_told():
