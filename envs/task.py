@@ -28,12 +28,12 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import EnvBase
 
-from envs.contacts import Contacts
 from envs.disturbing import Disturb
 from envs.motion import Motion
 from envs.options import EnvOptions
 from envs.pictures import Render
 from envs.reference import Reference
+from envs.strategies import Strategies
 
 if TYPE_CHECKING:  # at run time they import this module
     from envs.demonstrations.episode import Episode
@@ -148,7 +148,7 @@ class Task:
         render: films.
         summary: figures of its own in ``evaluation.json``.
         motion: where its moving parts stand, for comparisons with people.
-        contacts: what its environments record of contacts, for telling strategies.
+        strategies: tells how an episode was done.
         disturb: what of its model and its starts can be disturbed, for tests and training.
         progress_unit: of ``progress``, for messages and plots.
         reference: published rows.
@@ -171,7 +171,7 @@ class Task:
     render: Render | None = None
     summary: Summary | None = None
     motion: Motion | None = None
-    contacts: Contacts | None = None
+    strategies: Strategies | None = None
     disturb: Disturb | None = None
     progress_unit: str = ""
     reference: Reference | None = None
@@ -215,7 +215,7 @@ NEEDS: Final[Mapping[str, str]] = MappingProxyType(
         "summary": "has figures of its own",
         "reference": "has published rows",
         "motion": "says where its moving parts stand",
-        "contacts": "records contacts",
+        "strategies": "tells how its episodes were done",
         "disturb": "says what of it can be disturbed",
     }
 )

@@ -19,6 +19,9 @@ from envs.task import TaskFailedError
 from pipeline.commands.acting import Acting, task_override
 from pipeline.commands.demos_check import check_demonstrations
 from pipeline.commands.evaluate_run import run_evaluation
+from pipeline.commands.extras import AskedFor
+from pipeline.commands.extras.likeness import LikenessTo
+from pipeline.commands.extras.strategies import StrategiesAsked
 from pipeline.commands.play import play as play_episodes
 from pipeline.commands.record import record_demonstrations
 from pipeline.commands.robust import BAR, robustness
@@ -70,7 +73,10 @@ def evaluate(
 ) -> None:
     """Evaluate the newest checkpoint of RUN; episodes.csv beside it has a row per episode."""
     changes = [*task_override(task), *(overrides or [])]
-    result = run_evaluation(run, changes, episodes, demos, strategies)
+    extras: list[AskedFor] = [StrategiesAsked(strategies)]
+    if demos is not None:
+        extras.append(LikenessTo(demos))
+    result = run_evaluation(run, changes, episodes, extras)
     path = out if out is not None else run / EVALUATION
     path.parent.mkdir(parents=True, exist_ok=True)
     result.write(path)

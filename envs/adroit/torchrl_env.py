@@ -15,7 +15,7 @@ from envs.adroit.hand import Judged
 from envs.adroit.resimulation import QPOS, QVEL
 from envs.adroit.simulator import HandSimulator
 from envs.adroit.starts import placement_of
-from envs.contacts import FORCES, OPPOSITION
+from envs.adroit.touch import FORCES, OPPOSITION
 
 
 class HandEnv(EnvBase):
@@ -41,7 +41,7 @@ class HandEnv(EnvBase):
         horizon: Steps until truncation. Default: the task's.
         success_steps: Truncates an episode after so many steps of success in a row: for training,
             which then spends its steps on getting there. Default: never.
-        contacts: Writes ``contact_forces`` and ``opposition`` besides (`envs.contacts`).
+        contacts: Writes ``contact_forces`` and ``opposition`` besides (`envs.adroit.touch`).
         sparse: Pays success - 1 at every step (RLPD's binary tasks) in place of the task's reward.
         seed: Seed of the starts. Default: fresh entropy, not reproducible.
         device: Where the tensors live. The physics itself runs on the CPU.

@@ -430,6 +430,16 @@ def test_strategies_are_means_over_seeds_with_their_thresholds(tmp_path: Path):
     assert {trace["name"]: trace["x"] for trace in bars} == {"grasp": [0.4], "flung": [0.6]}
 
 
+def test_strategies_of_a_task_that_has_neither_thresholds_nor_contacts(tmp_path: Path):
+    told = {"shares": {"left": 0.25, "right": 0.75}, "words": {"left": "west", "right": "east"}}
+    make_run(tmp_path / "run", further={"strategies": told})
+    shown = section(reported(tmp_path), "strategies")
+    assert "Thresholds" not in shown.text
+    (only,) = shown.tables
+    assert (only.headers, only.rows) == (["row", "left", "right"], [["dbc_sac", "25", "75"]])
+    assert "contact" not in only.caption
+
+
 def test_what_a_run_withstands_is_shown_where_it_was_asked(tmp_path: Path):
     run = make_run(tmp_path / "run")
     assert "robustness" not in [s.key for s in reported(run).sections]
