@@ -120,7 +120,7 @@ class Raw:
         scene = env.simulator.scene
         self.model = copy.copy(scene.model)
         self.data = mujoco.MjData(self.model)
-        size = (env.horizon, len(scene.control_middle))
+        size = (env.simulator.task.horizon, len(scene.control_middle))
         actions = np.random.default_rng(0).uniform(-1, 1, size)
         self.controls = scene.control_middle + scene.control_half_range * actions
         self.step = 0

@@ -13,6 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import nn
 from torchrl.envs import EnvBase
 
+from envs.batched import chosen_copies, fresh_seed
 from envs.disturbing import Box, Disturb, Disturbance, Range
 from envs.options import EnvOptions
 from envs.task import Starts, Task
@@ -139,16 +140,13 @@ class DisturbedEnv(EnvBase):
         self._number_episodes(seed)
 
     def _number_episodes(self, seed: int | None) -> None:
-        if seed is None:
-            seed = int(np.random.SeedSequence().generate_state(1, np.uint64)[0]) >> 1
-        self._seed = seed
+        self._seed = fresh_seed() if seed is None else seed
         self._begun = np.zeros(self._count, dtype=np.int64)
         self._elapsed = np.zeros(self._count, dtype=np.int64)
         self._episodes: list[_Episode | None] = [None] * self._count
 
     def _reset(self, tensordict: TensorDictBase | None, **options: Any) -> TensorDictBase:
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        copies = _chosen(mask, self._count)
+        copies = chosen_copies(tensordict, "_reset", self._count)
         self._begun[copies] += 1
         self._elapsed[copies] = 0
         for i in copies:
@@ -158,7 +156,7 @@ class DisturbedEnv(EnvBase):
         return self._observed(found, copies)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        copies = _chosen(tensordict.get("_step", None), self._count)
+        copies = chosen_copies(tensordict, "_step", self._count)
         action = tensordict.get("action").detach().cpu().numpy()
         self._asked[copies, 1:] = self._asked[copies, :-1]
         self._asked[copies, 0] = action[copies]
@@ -283,9 +281,3 @@ def _between(rng: np.random.Generator, span: Range) -> float:
     """Uniform in the logarithm: half as much is as likely as twice as much."""
     low, high = np.log(span)
     return float(np.exp(rng.uniform(low, high)))
-
-
-def _chosen(mask: torch.Tensor | None, count: int) -> NDArray[np.int64]:
-    if mask is None:
-        return np.arange(count)
-    return np.flatnonzero(mask.reshape(-1).cpu().numpy())

@@ -18,6 +18,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 Path = tuple[str | int, ...]
+SEPARATOR: Final = "/"
 ROOT: Final = "observation"
 """What the array of an observation that is not nested is called."""
 SUPPORTED: Final = (
@@ -64,6 +65,11 @@ class Leaf:
             f"{self.name}[{place}]={i}" for k, place in enumerate(places) for i in self._choices(k)
         )
 
+    def holds(self, integers: NDArray[Any]) -> NDArray[np.bool_]:
+        """Which of the integers [..., I], I of them a step, are among its values."""
+        counted = integers - np.asarray(self.first)
+        return np.asarray((counted >= 0) & (counted < np.asarray(self.values)))
+
     def write(self, value: Any, out: NDArray[np.float32]) -> None:
         """Write ``value`` [..., *shape] into ``out`` [..., size].
 
@@ -73,10 +79,12 @@ class Leaf:
         if not self.values:
             out[...] = np.reshape(value, out.shape)
             return
-        integers = np.reshape(value, (*out.shape[:-1], len(self.values))) - self.first
-        if (integers < 0).any() or (integers >= self.values).any():
-            raise ValueError(f"{self.name} is {value}, outside of its {self.values} values")
-        offsets = np.cumsum((0, *self.values[:-1]))
+        integers = np.reshape(value, (*out.shape[:-1], len(self.values)))
+        inside = self.holds(integers)
+        if not inside.all():
+            strange = integers[~inside].flat[0]
+            raise ValueError(f"{self.name} is {strange}, outside of its {self.values} values")
+        offsets = np.cumsum((0, *self.values[:-1])) - np.asarray(self.first, np.int64)
         out[...] = 0.0
         np.put_along_axis(out, integers + offsets, 1.0, axis=-1)
 
@@ -155,7 +163,7 @@ def _leaves(space: gymnasium.Space[Any], path: Path) -> Iterator[Leaf]:
 
 
 def _name(path: Path) -> str:
-    return "/".join(map(str, path)) or ROOT
+    return SEPARATOR.join(map(str, path)) or ROOT
 
 
 def _dict(space: Any, path: Path) -> Iterator[Leaf]:

@@ -26,7 +26,7 @@ class EnvOptions:
         reward: one of the task's `Task.rewards`; None is its own.
         render_mode: what its pictures are to be asked for, ``rgb_array`` or ``human``, of
             environments that must know from the start; None: no pictures.
-        contacts: whether the columns of `Task.contacts` are written.
+        strategies: whether the columns of `Task.strategies` are written.
 
     Raises:
         ValueError: a count is below 1.
@@ -41,7 +41,7 @@ class EnvOptions:
     success_steps: int | None = None
     reward: str | None = None
     render_mode: str | None = None
-    contacts: bool = False
+    strategies: bool = False
 
     def __post_init__(self) -> None:
         for name in ("num_envs", "horizon", "success_steps", "num_threads"):

@@ -118,7 +118,7 @@ class Render:
             episode does not say where it begins.
         window: opens a window; None: it cannot be watched live.
         notes: lines of the task's own to stand in the picture, from what the environment tells with
-            an observation; None: nothing. What touches what is there without it (`Task.contacts`).
+            an observation; None: nothing. `Task.strategies` has a line of its own.
     """
 
     open: Callable[[EnvBase, Picture], AbstractContextManager[Renderer]]

@@ -25,12 +25,12 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from numpy.typing import NDArray
 
-from envs.contacts import Contacts
 from envs.disturbing import Disturb
 from envs.motion import Motion
 from envs.options import EnvOptions
 from envs.pictures import Render
 from envs.reference import Reference
+from envs.strategies import Strategies
 
 if TYPE_CHECKING:  # tables and messages ask about tasks without tensors
     from tensordict import TensorDict, TensorDictBase
@@ -150,7 +150,7 @@ class Task:
         render: films.
         summary: figures of its own in ``evaluation.json``.
         motion: where its moving parts stand, for comparisons with people.
-        contacts: what its environments record of contacts, for telling strategies.
+        strategies: tells how an episode was done.
         disturb: what of its model and its starts can be disturbed, for tests and training.
         progress_unit: of ``progress``, for messages and plots.
         reference: published rows.
@@ -173,7 +173,7 @@ class Task:
     render: Render | None = None
     summary: Summary | None = None
     motion: Motion | None = None
-    contacts: Contacts | None = None
+    strategies: Strategies | None = None
     disturb: Disturb | None = None
     progress_unit: str = ""
     reference: Reference | None = None
@@ -217,7 +217,7 @@ NEEDS: Final[Mapping[str, str]] = MappingProxyType(
         "summary": "has figures of its own",
         "reference": "has published rows",
         "motion": "says where its moving parts stand",
-        "contacts": "records contacts",
+        "strategies": "tells how its episodes were done",
         "disturb": "says what of it can be disturbed",
     }
 )

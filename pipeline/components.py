@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 from torchrl.envs import EnvBase
@@ -239,9 +240,9 @@ def make_stepper(recipe: Recipe, loss: BCSACLoss) -> BCSACStepper:
 
 
 def make_evaluator(
-    recipe: Recipe, task: Task, *, episodes: int, keep_env: bool = False, contacts: bool = False
+    recipe: Recipe, task: Task, *, episodes: int, keep_env: bool = False, **env_options: Any
 ) -> Evaluator:
-    """The evaluation of this run's policy."""
+    """The evaluation of this run's policy, in environments with these options besides its own."""
     return Evaluator(
         task=task,
         episodes=episodes,
@@ -249,7 +250,7 @@ def make_evaluator(
         batch=recipe.evaluation.batch,
         noise_scale=recipe.evaluation.noise_scale,
         exploration=recipe.evaluation.exploration,
-        env_options=recipe.env_options(contacts=contacts),
+        env_options=recipe.env_options(**env_options),
         keep_env=keep_env,
     )
 

@@ -28,6 +28,15 @@ WORTH_A_THREAD = 0.85
 WORTH_ROUNDING = 0.7
 """bfloat16 must take the products to this share of float32's time to be chosen."""
 
+OPEN = {
+    "torch_threads": None,
+    "precision": "auto",
+    "compile_updates": None,
+    "onednn": None,
+    "cuda_graphs": None,
+}
+"""The keys that are decided here, by the value that leaves them open."""
+
 MANY_UPDATES = 5_000
 """From so many on, a run on a processor looks for what makes an update faster: compiling takes up
 to 20 s and saves 2 ms an update or more."""

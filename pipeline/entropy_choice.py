@@ -17,6 +17,8 @@ from pipeline.recipe import Recipe
 _logger = logging.getLogger(__name__)
 
 CLONE: Final = "clone"
+OPEN: Final = {"loss.target_entropy": CLONE}
+"""The key that is chosen here, and the value that leaves it open."""
 BELOW: Final = 0.2
 """How far below the clone's own entropy the target is, in nats an action entry.
 

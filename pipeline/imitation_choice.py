@@ -11,6 +11,8 @@ from pipeline.recipe import Recipe
 _logger = logging.getLogger(__name__)
 
 AUTO: Final = "auto"
+OPEN: Final = {"loss.imitation": AUTO}
+"""The key that is chosen here, and the value that leaves it open."""
 MANY_SATURATED: Final = 0.1
 """Share of demonstrated action entries at their bounds above which no likelihood is maximised.
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from tabulate import tabulate
 
+from pipeline import compute, entropy_choice, imitation_choice, scale_choice
 from pipeline.dotted import flatten, nest
 from pipeline.files.run_files import RunDirectoryError
 from pipeline.recipe import Recipe
@@ -37,17 +38,12 @@ ONLINE: Final = (
 OFFLINE: Final = ("bc.updates", "bc.lr")
 """Besides, without one."""
 DECIDED: Final[Mapping[str, object]] = {
-    "torch_threads": None,
-    "precision": "auto",
-    "compile_updates": None,
-    "onednn": None,
-    "cuda_graphs": None,
-    "loss.reward_scale": "auto",
-    "loss.imitation": "auto",
-    "loss.target_entropy": "clone",
+    **compute.OPEN,
+    **scale_choice.OPEN,
+    **imitation_choice.OPEN,
+    **entropy_choice.OPEN,
 }
-"""Keys that a run decides when it starts, by the value that leaves them open (pipeline/compute.py,
-pipeline/scale_choice.py, pipeline/imitation_choice.py, pipeline/entropy_choice.py)."""
+"""Keys that a run decides when it starts, by the value that leaves them open."""
 
 Changes = Mapping[str, tuple[Any, Any]]
 """Old and new value by key."""

@@ -16,6 +16,8 @@ from pipeline.recipe import Recipe
 _logger = logging.getLogger(__name__)
 
 AUTO: Final = "auto"
+OPEN: Final = {"loss.reward_scale": AUTO}
+"""The key that is chosen here, and the value that leaves it open."""
 VALUE: Final = 30.0
 """What a good demonstrated state is worth to the critics.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.adroit.scene import SUBSTEPS
-from envs.contacts import Contacts
+from envs.adroit.touch import Contacts
 
 Floats = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ class ContactReader:
         """Make ``steps`` of the simulation; ``forces`` [P, K] become their mean normal forces, N.
 
         Returns:
-            The opposition, see `envs.contacts.OPPOSITION`.
+            The opposition, see `envs.adroit.touch.OPPOSITION`.
         """
         self._forces[:] = 0.0
         self._pushes[:] = 0.0

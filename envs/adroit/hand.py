@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from envs.adroit.contacts import Surface
 from envs.adroit.physics import HandStates
 from envs.adroit.scene import HandScene
-from envs.contacts import Contacts
+from envs.adroit.touch import Contacts
 
 Placement = Mapping[str, NDArray[np.float64]]
 """Where things stand, by the names of `HandScene.placed`."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from envs.adroit.contacts import ContactReader, Surface
 from envs.adroit.scene import SUBSTEPS, HandScene
-from envs.contacts import Contacts
+from envs.adroit.touch import Contacts
 
 Floats = NDArray[np.float64]
 
@@ -48,9 +48,9 @@ class HandStates:
         readings: All of `read`, of which these are views, shape [N, R].
         changed: What of the model differs between copies beyond `placed`, by MuJoCo's name of the
             array, shape [N, k] each; empty unless somebody changes models (`envs.adroit.changes`).
-        forces: Of contacts (`envs.contacts.FORCES`), float32 [N, P, K]; [N, 0, 0] where nobody
+        forces: Of contacts (`envs.adroit.touch.FORCES`), float32 [N, P, K]; [N, 0, 0] where nobody
             asked for them.
-        opposition: Likewise (`envs.contacts.OPPOSITION`), [N].
+        opposition: Likewise (`envs.adroit.touch.OPPOSITION`), [N].
         diverged: Whether MuJoCo met NaN or huge numbers since the last reset, bool [N].
         qpos, qvel, control: Views into `physics`: joint positions [N, nq], joint velocities
             [N, nv] and position targets [N, A].

@@ -42,7 +42,7 @@ class MakeEnv:
             horizon=options.horizon,
             success_steps=options.success_steps,
             sparse=options.reward == SPARSE,
-            contacts=options.contacts,
+            contacts=options.strategies,
             seed=options.seed,
             device=options.device,
         )

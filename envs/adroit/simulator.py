@@ -120,7 +120,7 @@ class HandSimulator:
 
     @property
     def opposition(self) -> NDArray[np.float32]:
-        """How much the thumb opposes the hand, shape [N] (a copy): `envs.contacts.OPPOSITION`."""
+        """How much the thumb opposes the hand, shape [N] (a copy): see `touch.OPPOSITION`."""
         return self._states.opposition.copy()
 
     def change_model(self, index: int, change: ModelChange | None) -> None:

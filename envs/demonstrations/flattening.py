@@ -1,12 +1,12 @@
-"""Structured observations of a file as one vector per step.
+"""Structured observations of a file as one vector per step, in the order of `envs.flatten`.
 
-The order must agree with what the environments of `envs.library` write: keys sorted by their path,
-joined with "/"; C order inside an array; a discrete value as a one-hot vector.
+A file need not say what spaces its arrays are from; the task's integers (`Leaf`) are written by the
+same code as an environment's, and a property test holds the two together.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from envs.demonstrations.errors import DemonstrationError
 from envs.demonstrations.limits import MAX_DEPTH
-
-SEPARATOR = "/"
+from envs.flatten import SEPARATOR, Leaf
 
 
 def named_columns(
@@ -32,23 +31,23 @@ def named_columns(
 def flatten_columns(
     columns: Mapping[str, Any],
     *,
-    discrete: Mapping[str, int] | None = None,
+    discrete: Sequence[Leaf] = (),
     where: str = "observations",
 ) -> NDArray[np.float64]:
-    """One matrix [T, O] of all arrays, in the order of the module's docstring.
+    """One matrix [T, O] of all arrays.
 
     Args:
         columns: arrays [T, ...] by name; mappings and tuples of these may be nested.
-        discrete: how many values 0, 1, ... a key takes, by path; its integers become one-hot.
+        discrete: arrays of integers, which become one-hot where a file holds the integers.
         where: file and episode, for the error messages.
 
     Raises:
         DemonstrationError: the arrays differ in T, hold no numbers, or a discrete value is outside
             its range.
     """
-    sizes = discrete or {}
+    integers = {leaf.name: leaf for leaf in discrete}
     named = {
-        path: _one_hot(f"{where}, {path}", values, sizes[path]) if path in sizes else values
+        path: _one_hot(f"{where}, {path}", values, integers[path]) if path in integers else values
         for path, values in named_columns(columns, where).items()
     }
     steps = {path: len(values) if values.ndim else 0 for path, values in named.items()}
@@ -93,14 +92,22 @@ def _rows(place: str, values: NDArray[Any]) -> NDArray[np.float64]:
     return values.astype(np.float64)
 
 
-def _one_hot(place: str, values: NDArray[Any], size: int) -> NDArray[np.float64]:
-    whole = np.asarray(values).reshape(len(values), -1)
-    inside = (whole == np.floor(whole)) & (whole >= 0) & (whole < size)
-    if whole.shape[1] != 1 or not inside.all():
-        found = whole.ravel()[int(np.argmin(inside))]
+def _one_hot(place: str, values: NDArray[Any], leaf: Leaf) -> NDArray[Any]:
+    found, entries = _rows(place, values).reshape(len(values), -1), len(leaf.values)
+    if found.shape[1] == leaf.size != entries:
+        return found  # as environments write it
+    ranges = zip(leaf.first, leaf.values, strict=True)
+    between = ", ".join(f"{first}..{first + count - 1}" for first, count in ranges)
+    expected = f"{'one whole number' if entries == 1 else f'{entries} whole numbers'} of {between}"
+    remedy = "Repair the file, or name the right values (the schema's discrete)"
+    if found.shape[1] != entries:
         raise DemonstrationError(
-            place,
-            f"holds {found}, expected one whole number of 0..{size - 1} per step",
-            "Repair the file, or name the right number of values",
+            place, f"holds {found.shape[1]} numbers per step, expected {expected}", remedy
         )
-    return np.eye(size)[whole[:, 0].astype(np.int64)]
+    inside = (found == np.floor(found)) & leaf.holds(found)
+    if not inside.all():
+        strange = found[~inside].flat[0]
+        raise DemonstrationError(place, f"holds {strange:g}, expected {expected} per step", remedy)
+    encoded = np.empty((len(found), leaf.size), np.float32)
+    leaf.write(found.astype(np.int64), encoded)
+    return encoded

@@ -13,6 +13,8 @@ from envs.demonstrations.files import one_line
 from envs.demonstrations.findings import Kind, Notes
 from envs.demonstrations.flattening import flatten_columns, looks_like_image, named_columns
 from envs.demonstrations.schema import DemoSchema
+from envs.flatten import ROOT
+from envs.scaling import from_unit, to_unit
 
 ROUNDING: Final = 1e-6
 """An action entry no further beyond its bound was rounded, not meant to be there."""
@@ -73,6 +75,9 @@ def observation_matrix(
     Raises:
         DemonstrationError: an image, a missing key, another width, or no finite numbers.
     """
+    nested = isinstance(value, Mapping | tuple)
+    if not nested and any(leaf.path == () for leaf in schema.discrete):
+        value = {ROOT: value}
     if isinstance(value, Mapping | tuple):
         value = _selected(value, where, schema, notes)
     array = numbers(value, "observations", where)
@@ -109,7 +114,7 @@ def action_matrix(
         np.broadcast_to(bound, recorded.shape) for bound in _action_bounds(schema, normalised)
     )
     rescaled = not normalised and schema.action_low is not None
-    actions = 2 * (recorded - low) / (high - low) - 1 if rescaled else recorded
+    actions = to_unit(recorded, low, high) if rescaled else recorded
     magnitude = np.abs(actions)
     rounded = (magnitude > 1.0) & (magnitude <= 1.0 + ROUNDING)
     actions = np.where(rounded, np.sign(actions), actions)
@@ -129,8 +134,7 @@ def in_file_units(actions: NDArray[np.float32], schema: DemoSchema | None) -> ND
     """Actions [T, A] of an episode in the units in which the schema's files hold them."""
     if schema is None or schema.action_low is None:
         return actions
-    low, high = (np.asarray(bound) for bound in _action_bounds(schema, normalised=False))
-    return (low + (actions.astype(np.float64) + 1) / 2 * (high - low)).astype(np.float32)
+    return from_unit(actions, *_action_bounds(schema, normalised=False)).astype(np.float32)
 
 
 def _action_bounds(schema: DemoSchema, normalised: bool) -> tuple[Any, Any]:
@@ -157,7 +161,7 @@ def _selected(
     for key in wanted:
         _refuse_image(key, named[key], where, schema)
     return flatten_columns(
-        {key: named[key] for key in wanted}, discrete=dict(schema.discrete), where=where
+        {key: named[key] for key in wanted}, discrete=schema.discrete, where=where
     )
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from envs.flatten import Leaf
+
 Floats = NDArray[np.floating]
 Measure = Callable[[Floats], NDArray[np.generic]]
 """A pure function of observations [..., O]: a reward, a flag or a progress [...]."""
@@ -58,7 +60,7 @@ class DemoSchema:
         action_high: likewise.
         observation_keys: arrays of which an observation is made, by path (``goal/position``), for
             files that hold several; None takes all of them.
-        discrete: keys of integers, each with the number of its values; they become one-hot.
+        discrete: arrays of integers, by path; they become one-hot.
         step_reward: of a step, from observations [B, O], actions [B, A] in [-1, 1] and the
             observations that follow them; None leaves the files' own rewards.
         start: vectors that say where an episode begins.
@@ -82,7 +84,7 @@ class DemoSchema:
     action_low: tuple[float, ...] | None = None
     action_high: tuple[float, ...] | None = None
     observation_keys: tuple[str, ...] | None = None
-    discrete: tuple[tuple[str, int], ...] = ()
+    discrete: tuple[Leaf, ...] = ()
     step_reward: Callable[[Floats, Floats, Floats], Floats] | None = None
     start: tuple[StartKey, ...] = ()
     reward: Measure | None = None

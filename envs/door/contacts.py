@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from envs.adroit.contacts import PARTS, THUMB, Surface
-from envs.contacts import Contacts
+from envs.adroit.touch import Contacts
 
 GEOMS: Final[dict[str, tuple[str, ...]]] = {
     "frame": ("post_hinge", "post_latch"),

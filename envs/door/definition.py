@@ -15,6 +15,7 @@ from envs.adroit.render import View
 from envs.adroit.room import REWARDS, MakeEnv, Pictures, Starts
 from envs.adroit.scene import STEPS_PER_SECOND
 from envs.adroit.states import States
+from envs.adroit.strategies import HandStrategies
 from envs.door import metrics, task
 from envs.door.contacts import CONTACTS
 from envs.door.defaults import DEFAULTS
@@ -86,7 +87,7 @@ TASK: Final = Task(
     summary=summary,
     motion=MOTION,
     disturb=DISTURB,
-    contacts=CONTACTS,
+    strategies=HandStrategies(CONTACTS),
     progress_unit="rad",
     rewards=REWARDS,
     reference=PAPER,

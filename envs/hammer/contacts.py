@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Final
 
 from envs.adroit.contacts import PARTS, THUMB, Surface
-from envs.contacts import Contacts
+from envs.adroit.touch import Contacts
 
 GEOMS: Final[dict[str, tuple[str, ...]]] = {"nail": ("nail_head", "nail_shank")}
 """Names for the geoms of bodies, in the order of the model file, which has none."""

@@ -14,6 +14,7 @@ from envs.adroit.resimulation import Resimulation
 from envs.adroit.room import REWARDS, MakeEnv, Pictures, Starts
 from envs.adroit.scene import STEPS_PER_SECOND
 from envs.adroit.states import States
+from envs.adroit.strategies import HandStrategies
 from envs.hammer import task
 from envs.hammer.contacts import CONTACTS
 from envs.hammer.demos import SCHEMA
@@ -63,7 +64,7 @@ TASK: Final = Task(
     render=Pictures(VIEW).render(),
     motion=MOTION,
     disturb=DISTURB,
-    contacts=CONTACTS,
+    strategies=HandStrategies(CONTACTS),
     states=States(HAMMER),
     vary=VARY,
     progress_unit="m",

@@ -196,7 +196,7 @@ def _schema(name: str, found: Probed) -> DemoSchema:
         action_low=tuple(actions.low.tolist()),
         action_high=tuple(actions.high.tolist()),
         observation_keys=tuple(leaf.name for leaf in leaves),
-        discrete=tuple((leaf.name, leaf.values[0]) for leaf in leaves if len(leaf.values) == 1),
+        discrete=tuple(leaf for leaf in leaves if leaf.values),
         step_reward=interface.reward,
         start=(SEED, *(() if found.start is None else found.start.keys)),
         success=None if success is None else success.of_observations,

@@ -10,6 +10,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from envs.scaling import from_unit
+
 
 class UnsupportedActionsError(ValueError):
     """The actions are not a finite box of numbers; the message says what is wrong, and where."""
@@ -17,7 +19,7 @@ class UnsupportedActionsError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class ActionScale:
-    """Maps a flat vector in [-1, 1] to an action of the environment, and recorded actions back.
+    """Maps a flat vector in [-1, 1] to an action of the environment (files: `envs.scaling`).
 
     Attributes:
         low: least action, float64 [A], C order of the environment's shape.
@@ -68,15 +70,7 @@ class ActionScale:
 
         Integers are rounded to the nearest.
         """
-        share = (np.clip(unit, -1.0, 1.0).astype(np.float64) + 1.0) / 2.0
-        # In this form -1 and 1 are the bounds exactly.
-        actions = self.low * (1.0 - share) + self.high * share
+        actions = from_unit(np.clip(unit, -1.0, 1.0), self.low, self.high)
         if np.issubdtype(self.dtype, np.integer):
             actions = np.rint(actions)
         return actions.astype(self.dtype).reshape(*unit.shape[:-1], *self.shape)
-
-    def to_unit(self, recorded: NDArray[np.generic]) -> NDArray[np.float32]:
-        """Recorded actions [..., *shape] in units of [-1, 1], float32 [..., A]; not clipped."""
-        batch = recorded.shape[: recorded.ndim - len(self.shape)]
-        flat = recorded.reshape(*batch, self.size).astype(np.float64)
-        return (2.0 * (flat - self.low) / (self.high - self.low) - 1.0).astype(np.float32)

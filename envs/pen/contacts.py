@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Final
 
 from envs.adroit.contacts import PARTS, THUMB, Surface
-from envs.contacts import Contacts
+from envs.adroit.touch import Contacts
 
 SURFACES: Final = (Surface("pen", "pen"),)
 

@@ -14,6 +14,7 @@ from envs.adroit.resimulation import Resimulation
 from envs.adroit.room import REWARDS, MakeEnv, Pictures, Starts
 from envs.adroit.scene import STEPS_PER_SECOND
 from envs.adroit.states import States
+from envs.adroit.strategies import HandStrategies
 from envs.motion import Motion
 from envs.pen import task
 from envs.pen.contacts import CONTACTS
@@ -52,7 +53,7 @@ TASK: Final = Task(
     render=Pictures(VIEW).render(),
     motion=MOTION,
     disturb=DISTURB,
-    contacts=CONTACTS,
+    strategies=HandStrategies(CONTACTS),
     states=States(PEN),
     vary=VARY,
     progress_unit="cos",

@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Final
 
 from envs.adroit.contacts import PARTS, THUMB, Surface
-from envs.contacts import Contacts
+from envs.adroit.touch import Contacts
 
 GEOMS: Final[dict[str, tuple[str, ...]]] = {"table": ("table", "leg_1", "leg_2", "leg_3", "leg_4")}
 """Names for the geoms of bodies, in the order of the model file, which has none."""

@@ -193,7 +193,9 @@ class Comparison:
             margin: As :func:`mean_nll`.
         """
         movements = []
-        for i, (observations, actions) in enumerate(self.recorder.episodes()):
+        # The last wave may have played more episodes than were asked for.
+        recorded = self.recorder.episodes()[: len(rollouts.lengths)]
+        for i, (observations, actions) in enumerate(recorded):
             success = None if rollouts.success is None else rollouts.success[i, : len(actions)]
             progress = None if rollouts.progress is None else rollouts.progress[i, : len(actions)]
             movements.append(Movement.of(self.motion, observations, actions, success, progress))

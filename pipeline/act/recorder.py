@@ -1,10 +1,10 @@
-"""Keeps what the first episodes of an evaluation saw and did."""
+"""Keeps what the episodes of an evaluation saw and did."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -78,3 +78,41 @@ class Recorder:
     def episodes(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
         """Observations [T + 1, O] and actions [T, A] of each episode, in their order."""
         return list(self._episodes)
+
+
+class ColumnRecorder:
+    """Columns that an environment writes besides, after each step of every episode.
+
+    Args:
+        columns: Their keys, [N, K] each.
+    """
+
+    def __init__(self, columns: Sequence[str]) -> None:
+        self.columns = tuple(columns)
+        self._steps: list[list[Tensor]] = []
+        self._waves: list[list[NDArray[Any]]] = []
+
+    def __call__(self, step: TensorDictBase, active: Tensor) -> None:
+        """Takes a step of N copies, of which only the ``active`` ones [N, 1] still play."""
+        after = step["next"]
+        self._steps.append([after[column] * active for column in self.columns])
+
+    def finish_wave(self) -> None:
+        """The copies have played their episodes to the end; others follow."""
+        stacked = (torch.stack(steps, 1) for steps in zip(*self._steps, strict=True))
+        self._waves.append([column.cpu().numpy() for column in stacked])
+        self._steps = []
+
+    def joined(self, count: int) -> dict[str, NDArray[Any]]:
+        """The columns of the first ``count`` episodes, [E, T, K]; zeros behind an episode's end."""
+        longest = max(wave[0].shape[1] for wave in self._waves)
+        return {
+            column: np.concatenate([_padded(wave[i], longest) for wave in self._waves])[:count]
+            for i, column in enumerate(self.columns)
+        }
+
+
+def _padded(values: NDArray[Any], steps: int) -> NDArray[Any]:
+    beyond = [(0, 0)] * values.ndim
+    beyond[1] = (0, steps - values.shape[1])
+    return np.pad(values, beyond)

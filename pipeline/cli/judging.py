@@ -29,8 +29,14 @@ def evaluate(
 ) -> None:
     """Evaluate the newest checkpoint of RUN; episodes.csv beside it has a row per episode."""
     from pipeline.commands.evaluate_run import run_evaluation
+    from pipeline.commands.extras import AskedFor
+    from pipeline.commands.extras.likeness import LikenessTo
+    from pipeline.commands.extras.strategies import StrategiesAsked
 
-    result = run_evaluation(run, changes(task, overrides), episodes, demos, strategies)
+    extras: list[AskedFor] = [StrategiesAsked(strategies)]
+    if demos is not None:
+        extras.append(LikenessTo(demos))
+    result = run_evaluation(run, changes(task, overrides), episodes, extras)
     path = out if out is not None else run / EVALUATION
     path.parent.mkdir(parents=True, exist_ok=True)
     result.write(path)

@@ -208,8 +208,8 @@ def studio(run: LoadedRun, horizon: int | None, picture: Picture, every: int) ->
         RenderingUnavailableError: If there is nothing to render with.
     """
     render: Render = run.task.require("render", "make video")
-    contacts = run.task.contacts is not None
-    options = run.recipe.env_options(horizon=horizon, workers=0, render_mode=RGB, contacts=contacts)
+    told = run.task.strategies is not None
+    options = run.recipe.env_options(horizon=horizon, workers=0, render_mode=RGB, strategies=told)
     env = run.task.make_env(options)
     try:
         with render.open(env, picture) as renderer:

@@ -12,10 +12,8 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from envs import Task
-from envs.contacts import FORCES
 from envs.pictures import Render, Renderer
 from envs.task import PROGRESS, SUCCESS
-from pipeline.act.strategies import DEFAULT
 from pipeline.finite import require_finite_step
 
 
@@ -32,7 +30,7 @@ class Moment:
         progress: in the task's unit; None where it tells none.
         success: whether the task is accomplished now; None likewise.
         stage: the last of the task's stages that the episode has ever reached; empty before.
-        notes: further lines: what touches what, where the task records contacts, and its own.
+        notes: further lines, of `Task.strategies` and of `Render.notes`.
     """
 
     picture: NDArray[Any]
@@ -116,16 +114,16 @@ class Studio:
             success=None if success is None else bool(success),
             stage=self.task.stages[passed - 1].label if passed else "",
             notes=(
-                *self._contacts(td),
+                *self._now(td),
                 *(() if render.notes is None else render.notes(td)),
             ),
         )
 
-    def _contacts(self, td: TensorDictBase) -> Iterator[str]:
-        """A line with what touches what now; none where the environment does not record it."""
-        contacts, forces = self.task.contacts, td.get(FORCES, None)
-        if contacts is not None and forces is not None:
-            yield contacts.touching(forces[0].cpu().numpy(), DEFAULT.force)
+    def _now(self, td: TensorDictBase) -> Iterator[str]:
+        """What the task tells its strategies from; nothing where the environment writes none."""
+        strategies = self.task.strategies
+        if strategies is not None and all(column in td for column in strategies.columns):
+            yield strategies.now(td)
 
 
 def stride(render: Render, pictures_per_second: float) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -12,40 +13,48 @@ from pipeline.report.page import Section, Table
 from pipeline.results.evaluation import Strategies
 from pipeline.results.runs import RunGroup
 
+BESIDE: Final = ("progress at last contact", "travel untouched, %")
+BESIDE_MEANING: Final = (
+    "Progress at the last contact: median [10, 90 %] over episodes; travel untouched: mean over "
+    "the episodes that moved something."
+)
+TRIED: Final = "At other thresholds, one at a time"
+
 
 def strategies(rows: Sequence[RunGroup]) -> Section | None:
-    """What the hand touched while the thing moved; None if no evaluation recorded contacts."""
+    """How the episodes were done; None if no evaluation tells."""
     found = {row.name: told for row in rows if (told := _told(row))}
     if not found:
         return None
     words: Mapping[str, str] = next(iter(found.values()))[0].words
     shares = {name: _mean_shares([of.shares for of in told]) for name, told in found.items()}
     parts = {key: [of.get(key, 0.0) for of in shares.values()] for key in words}
+    touched = any(of.progress_at_last_contact for told in found.values() for of in told)
     lines = [
-        [name, *(_percent(of.get(key, 0.0)) for key in words), *_beside(found[name])]
+        [
+            name,
+            *(_percent(of.get(key, 0.0)) for key in words),
+            *(_beside(found[name]) if touched else ()),
+        ]
         for name, of in shares.items()
     ]
     meaning = "; ".join(f"'{key}': {text}" for key, text in words.items())
     at = found[next(iter(found))][0].thresholds
+    thresholds = ", ".join(f"{key} {value:g}" for key, value in at.items())
+    tried = [line for name, told in found.items() for line in _sensitivity(name, told, words)]
     return Section(
         "strategies",
         "Strategies",
-        f"Share of episodes by what the hand touched, means over seeds. {meaning}. Thresholds: "
-        f"{', '.join(f'{key} {value:g}' for key, value in at.items())} (docs/metrics.md).",
+        f"Share of episodes by how they were done, means over seeds. {meaning}."
+        f"{f' Thresholds: {thresholds} (docs/metrics.md).' if at else ''}",
         tables=[
             Table(
-                ["row", *words, "progress at last contact", "travel untouched, %"],
+                ["row", *words, *(BESIDE if touched else ())],
                 lines,
-                caption="Progress at the last contact: median [10, 90 %] over episodes; travel "
-                "untouched: mean over the episodes that moved something.",
+                caption=BESIDE_MEANING if touched else "",
             ),
             *_held(found, words),
-            Table(
-                ["row", "threshold", *words],
-                [line for name, told in found.items() for line in _sensitivity(name, told, words)],
-                title="At other thresholds, one at a time",
-                folded=True,
-            ),
+            *([Table(["row", "threshold", *words], tried, TRIED, folded=True)] if tried else []),
         ],
         charts=[
             chart(

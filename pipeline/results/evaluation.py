@@ -71,8 +71,8 @@ class Strategies(_Object):
 
     words: dict[str, str]
     shares: Numbers
-    thresholds: Numbers
-    sensitivity: dict[str, dict[str, Numbers]]
+    thresholds: Numbers = Field(default_factory=dict)
+    sensitivity: dict[str, dict[str, Numbers]] = Field(default_factory=dict)
     progress_at_last_contact: Spread | None = None
     travel_untouched_mean: float | None = None
     kept_at_end: dict[str, float | None] | None = None

@@ -17,7 +17,7 @@ BOXES = st.builds(
 )
 LEAVES = st.one_of(
     BOXES,
-    st.builds(spaces.Discrete, st.integers(1, 4)),
+    st.builds(spaces.Discrete, st.integers(1, 4), start=st.integers(-2, 3)),
     st.builds(spaces.MultiDiscrete, st.lists(st.integers(1, 4), min_size=1, max_size=3)),
     st.builds(spaces.MultiBinary, st.integers(1, 4)),
 )

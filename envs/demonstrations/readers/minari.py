@@ -7,9 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from envs.demonstrations.errors import DemonstrationError
 from envs.demonstrations.files import (
@@ -24,6 +22,7 @@ from envs.demonstrations.flattening import named_columns
 from envs.demonstrations.reading import Reader, Record
 from envs.demonstrations.schema import DemoSchema
 from envs.demonstrations.validation import RawEpisode, found_start
+from envs.flatten import Flattener
 
 PREFIX: Final = "minari:"
 _DATA: Final = "data"
@@ -132,25 +131,14 @@ def _raw(data: Any, space: spaces.Space[Any], schema: DemoSchema) -> RawEpisode:
 
 
 def _encoded(value: Any, space: spaces.Space[Any]) -> Any:
-    """Observations with discrete entries one-hot, as `gymnasium.spaces.flatten` has them."""
+    """Observations with discrete entries one-hot, also where the schema does not name them."""
     if isinstance(space, spaces.Dict):
         return {key: _encoded(value[key], inner) for key, inner in space.spaces.items()}
     if isinstance(space, spaces.Tuple):
         return {str(i): _encoded(value[i], inner) for i, inner in enumerate(space.spaces)}
-    if isinstance(space, spaces.Discrete):
-        return _one_hot(np.asarray(value) - space.start, np.array([space.n]))
-    if isinstance(space, spaces.MultiDiscrete):
-        return _one_hot(np.asarray(value) - space.start, np.ravel(space.nvec))
+    if isinstance(space, spaces.Discrete | spaces.MultiDiscrete):
+        return Flattener.of(space)(value)
     return value
-
-
-def _one_hot(value: NDArray[Any], sizes: NDArray[Any]) -> NDArray[np.float32]:
-    whole = value.reshape(len(value), len(sizes))
-    if ((whole < 0) | (whole >= sizes)).any():
-        raise ValueError(f"a discrete observation is outside its {list(map(int, sizes))} values")
-    return np.concatenate(
-        [np.eye(size, dtype=np.float32)[whole[:, i]] for i, size in enumerate(sizes)], axis=1
-    )
 
 
 READER = Reader(

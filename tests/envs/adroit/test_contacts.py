@@ -10,7 +10,7 @@ import torch
 from envs import EnvOptions, find_task
 from envs.adroit.contacts import PARTS, ContactReader, Surface
 from envs.adroit.simulator import HandSimulator
-from envs.contacts import FORCES, OPPOSITION, Contacts
+from envs.adroit.touch import FORCES, OPPOSITION, Contacts
 from envs.door.contacts import SURFACES
 from tests.envs.adroit.conftest import HANDS, held_actions
 
@@ -143,10 +143,10 @@ def test_recording_changes_no_bit(task):
         return env, torch.stack(steps, 1)
 
     _, plain = rolled()
-    env, recorded = rolled(contacts=True)
+    env, recorded = rolled(strategies=True)
     for key in plain.keys():  # noqa: SIM118 - a tensordict
         assert torch.equal(plain[key], recorded[key]), key
-    contacts = find_task(task).contacts
+    contacts = find_task(task).strategies.contacts
     assert recorded[FORCES].shape[-1] == len(contacts.parts) * len(contacts.targets)
     assert (recorded[FORCES] >= 0).all()
     assert recorded[OPPOSITION].abs().max() <= 1.0 + 1e-6

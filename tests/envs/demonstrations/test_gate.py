@@ -6,11 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from envs.demonstrations import DemonstrationError, DemoSchema, Kind, Notes, Provenance
 from envs.demonstrations.flattening import flatten_columns
-from envs.demonstrations.matrices import in_file_units
+from envs.demonstrations.matrices import in_file_units, observation_matrix
 from envs.demonstrations.validation import RawEpisode, build_episode
+from envs.flatten import Flattener, Leaf
+from tests.envs.test_flatten import PROPERTY, SPACES, stacked
 
 PROVENANCE = Provenance("test", 0, "recorded")
 # Two joints: one from -2 to 2 N m, one from 0 to 10.
@@ -124,17 +128,48 @@ def test_success_after_each_action_where_the_last_observation_is_missing():
     assert episode.success.tolist() == [False, True, False]
 
 
+GRIP = Leaf("grip", ("grip",), (), values=(3,), first=(0,))
+
+
 def test_discrete_columns_become_one_hot():
-    schema = DemoSchema("toy", 4, 2, discrete=(("grip", 3),))
+    schema = DemoSchema("toy", 4, 2, discrete=(GRIP,))
     columns = {"pose": np.full((4, 1), 7.0), "grip": np.array([0, 2, 1, 0])}
     episode = built(schema, observations=columns)
     assert episode.observations.tolist() == [[1, 0, 0, 7], [0, 0, 1, 7], [0, 1, 0, 7], [1, 0, 0, 7]]
 
 
-def test_a_discrete_value_out_of_range():
-    schema = DemoSchema("toy", 3, 2, discrete=(("grip", 3),))
-    with pytest.raises(DemonstrationError, match=r"grip: holds 3, expected .* of 0\.\.2"):
-        built(schema, observations={"grip": np.array([0, 3, 1, 0])})
+@PROPERTY
+@given(SPACES, st.integers(1, 4), st.booleans())
+def test_files_and_environments_write_observations_alike(space, rows, encoded):
+    """As a recording of the space holds them, or as an environment has written them already."""
+    flattener = Flattener.of(space)
+    schema = DemoSchema(
+        "any",
+        flattener.size,
+        2,
+        observation_keys=tuple(leaf.name for leaf in flattener.leaves),
+        discrete=tuple(leaf for leaf in flattener.leaves if leaf.values),
+    )
+    # Integers of one value each cannot be told from their one-hot numbers.
+    assume(not encoded or all(leaf.size != len(leaf.values) for leaf in schema.discrete))
+    observations = stacked(space, [space.sample() for _ in range(rows)])
+    expected = flattener(observations)
+    held = expected if encoded else observations
+    assert observation_matrix(held, "f", schema, Notes()).tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ([0, 3, 1, 0], r"grip: holds 3, expected one whole number of 0\.\.2 per step"),
+        ([0, 1, 0.5, 0], r"grip: holds 0\.5, expected one whole number of 0\.\.2 per step"),
+        ([[0, 1]] * 4, r"grip: holds 2 numbers per step, expected one whole number of 0\.\.2"),
+    ],
+)
+def test_a_discrete_value_out_of_range(values: list, told: str):
+    schema = DemoSchema("toy", 3, 2, discrete=(GRIP,))
+    with pytest.raises(DemonstrationError, match=told):
+        built(schema, observations={"grip": np.array(values)})
 
 
 def test_bounds_of_another_size_are_refused():

@@ -291,7 +291,7 @@ def test_success_steps_below_one_are_refused():
 
 
 def test_state_of_another_number_of_doors_is_refused():
-    with pytest.raises(ValueError, match=r"holds 2 doors.*has 1: build it with num_envs=2"):
+    with pytest.raises(ValueError, match=r"holds 2 doors, and there are 1: set env.num_envs=2"):
         make(1).set_extra_state(make(2).get_extra_state())
 
 

@@ -13,6 +13,7 @@ from envs import EnvOptions, find_task
 from envs.demonstrations.episode import Episode, Provenance
 from envs.library.state import continues_exactly
 from envs.options import TaskOptions
+from envs.scaling import to_unit
 from envs.task import TaskFailedError
 from pipeline.files.checkpoint import resumes_midway
 from tests.envs.library.making import make
@@ -169,7 +170,8 @@ def recorded(name, start, begin=0, steps=12):
         rewards.append(reward)
         assert not terminated
     env.close()
-    unit = find_task(name).make_env.found.interface.actions.to_unit(np.stack(actions))
+    demos = find_task(name).demos
+    unit = to_unit(np.stack(actions), demos.action_low, demos.action_high).astype(np.float32)
     return Episode(
         np.stack(observations).astype(np.float32),
         unit,

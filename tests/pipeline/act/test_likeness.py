@@ -35,6 +35,7 @@ from pipeline.act.recorder import Recorder
 from pipeline.build import build_run
 from pipeline.cli import app
 from pipeline.commands.evaluate_run import run_evaluation
+from pipeline.commands.extras.likeness import LikenessTo
 from pipeline.machine import extras
 from tests.pipeline.toys import tiny_config, where, write_demos
 
@@ -178,7 +179,9 @@ def test_a_recorder_keeps_whole_episodes_of_different_lengths_in_their_order():
 def test_an_evaluation_with_demonstrations_says_how_alike_it_is(tmp_path: Path, demos: Path):
     config = tiny_config("bc", tmp_path, demos, "torch_threads=1")
     build_run(config, where(config)).train()
-    command = ["eval", str(where(config)), "--episodes", "3", "--demos", str(demos)]
+    # The second wave plays an episode beside the third.
+    asked = ["--episodes", "3", "--demos", str(demos), "evaluation.batch=2"]
+    command = ["eval", str(where(config)), *asked]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
     found = json.loads((where(config) / "evaluation.json").read_text())["likeness"]
@@ -210,7 +213,7 @@ def test_the_missing_extra_is_named_before_anything_is_played(
     monkeypatch.delitem(sys.modules, "dtaidistance")
     monkeypatch.setattr(extras, "find_spec", lambda module: None)
     with pytest.raises(extras.MissingExtraError, match=r"dtaidistance, .* the extra 'likeness'"):
-        run_evaluation(where(config), alike_to=str(demos))
+        run_evaluation(where(config), extras=[LikenessTo(str(demos))])
 
 
 def test_the_likelihood_of_demonstrations_is_that_of_their_actions():

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from envs import EnvOptions, Stage, Task, find_task
-from envs.contacts import FORCES, Contacts
+from envs.adroit.strategies import HandStrategies
+from envs.adroit.touch import FORCES, OPPOSITION, Contacts
 from envs.pictures import Render
 from pipeline.film.takes import Moment, Studio, stride
 
@@ -101,11 +102,12 @@ def test_contacts_are_told_by_what_is_touched():
 
 def test_a_film_tells_the_contacts_of_the_moment_and_a_task_without_them_none(pendulum: Task):
     contacts = Contacts(("palm",), "palm", ("rod",), ("rod",), 0.0, 0.0, {})
-    task = replace(pendulum, contacts=contacts)
+    task = replace(pendulum, strategies=HandStrategies(contacts))
 
     def moments(force: float) -> Moment:
         studio = Studio(task, task.make_env(EnvOptions(horizon=STEPS, seed=0)), Numbered(), 1)
         begun = studio.env.reset().set(FORCES, torch.tensor([[force]]))
+        begun[OPPOSITION] = torch.zeros(1, 1)
         return next(iter(studio.play(begun, lambda td: td)))
 
     assert moments(1.0).notes == ("palm: rod", "1 copy")

@@ -499,6 +499,16 @@ def test_a_success_is_kept_or_lost_at_the_end(tmp_path: Path):
     assert shown.rows == [["told", "80", "20", "20"]]
 
 
+def test_strategies_of_a_task_that_has_neither_thresholds_nor_contacts(tmp_path: Path):
+    told = {"shares": {"left": 0.25, "right": 0.75}, "words": {"left": "west", "right": "east"}}
+    make_run(tmp_path / "run", further={"strategies": told})
+    shown = section(reported(tmp_path), "strategies")
+    assert "Thresholds" not in shown.text
+    (only,) = shown.tables
+    assert (only.headers, only.rows) == (["row", "left", "right"], [["dbc_sac", "25", "75"]])
+    assert "contact" not in only.caption
+
+
 def test_what_a_run_withstands_is_shown_where_it_was_asked(tmp_path: Path):
     run = make_run(tmp_path / "run")
     assert "robustness" not in [s.key for s in reported(run).sections]

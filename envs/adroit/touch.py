@@ -1,4 +1,4 @@
-"""Who touches what: what a task records of contacts, for telling how its policies go about it."""
+"""Who touches what: what a task of the hand records of contacts, for telling its strategies."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ on the targets that are held; -1 is a grasp from opposite sides, 0 also where on
 
 @dataclass(frozen=True)
 class Contacts:
-    """What an environment of a task records with `EnvOptions.contacts`.
+    """What an environment of a task records with `EnvOptions.strategies`.
 
     Attributes:
         parts: of the hand, in their order, P.
@@ -28,7 +28,7 @@ class Contacts:
         held: those of them by which a hand leads.
         begins: progress, from that of an episode's first step, at which the travel begins.
         moved: progress likewise, above which something was moved at all.
-        words: what the strategies of `pipeline.act.strategies` mean here.
+        words: what the classes of `envs.adroit.strategies` mean here.
     """
 
     parts: tuple[str, ...]

@@ -16,14 +16,11 @@ grasp     an opposed grasp for `Thresholds.grasp` of the travel or more
 held      what is left: led, and less opposed
 ======== ======================================================================================
 
-A class says nothing of what comes after the first success. Beside them stands which episodes are
-still a success after their last step, and how many were one and are none then (`lost`): a door that
-passed 1.35 rad and fell shut.
+A class says nothing of what comes after the first success.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
@@ -31,9 +28,10 @@ from typing import Any, Final
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+from tensordict import TensorDictBase
 
-from envs.contacts import Contacts
-from envs.intervals import wilson
+from envs.adroit.touch import FORCES, OPPOSITION, Contacts
+from envs.strategies import Ways, shares
 
 STRATEGIES: Final = ("grasp", "held", "flung", "elsewhere", "short", "touched", "untouched")
 QUANTILES: Final = (0.1, 0.5, 0.9)
@@ -74,109 +72,85 @@ SENSITIVITY: Final[Mapping[str, Sequence[float]]] = {
 
 
 @dataclass(frozen=True)
-class Strategies:
-    """What E episodes were.
+class HandStrategies:
+    """Tells the strategies of a task of the hand, as `envs.task.Task.strategies`.
 
     Attributes:
-        names: one of :data:`STRATEGIES` each, [E].
-        last_contact: progress when what is held was last touched, up to the end of the travel, [E];
-            NaN where it never was.
-        untouched: share of the travel without any contact, [E]; NaN where nothing was moved.
-        kept: whether it is a success after its last step, [E].
-        lost: whether it was a success before and is none after its last step, [E].
-        by_part: share of the normal force on what is held that each part exerts, [P].
-        sensitivity: shares of the classes by threshold and its value.
-    """
-
-    names: list[str]
-    last_contact: NDArray[np.float64]
-    untouched: NDArray[np.float64]
-    kept: Bools
-    lost: Bools
-    by_part: Mapping[str, float]
-    thresholds: Thresholds
-    sensitivity: Mapping[str, Mapping[str, Mapping[str, float]]]
-
-    def figures(self, contacts: Contacts) -> dict[str, Any]:
-        """For ``evaluation.json``."""
-        return {
-            "shares": _shares(self.names),
-            "shares_ci95": {
-                name: list(wilson([name == found for found in self.names])) for name in STRATEGIES
-            },
-            "kept_at_end": {name: self._kept_of(name) for name in STRATEGIES},
-            "lost_at_end": float(self.lost.mean()),
-            "lost_at_end_ci95": list(wilson(self.lost.tolist())),
-            "words": dict(contacts.words),
-            "progress_at_last_contact": _quantiles(self.last_contact),
-            "travel_untouched": _quantiles(self.untouched),
-            "travel_untouched_mean": _mean(self.untouched),
-            "force_by_part": dict(self.by_part),
-            "thresholds": asdict(self.thresholds),
-            "sensitivity": self.sensitivity,
-        }
-
-    def _kept_of(self, name: str) -> float | None:
-        """Share of the episodes of a class that are a success at their end; None without any."""
-        of_class = self.kept[[found == name for found in self.names]]
-        return float(of_class.mean()) if of_class.size else None
-
-    def columns(self) -> dict[str, list[Any]]:
-        """For ``episodes.csv``."""
-        return {
-            "strategy": list(self.names),
-            "progress_at_last_contact": _or_none(self.last_contact),
-            "travel_untouched": _or_none(self.untouched),
-        }
-
-
-def told(
-    contacts: Contacts,
-    forces: NDArray[np.float32],
-    opposition: NDArray[np.float32],
-    progress: NDArray[np.floating],
-    success: Bools,
-    thresholds: Thresholds = DEFAULT,
-) -> Strategies:
-    """Tells strategies, and how many would be told otherwise at other thresholds.
-
-    Args:
-        contacts: Of the task.
-        forces: Normal forces (N) after each step, [E, T, P, K]; zeros behind an episode's end.
-        opposition: Of the thumb, [E, T].
-        progress: [E, T], NaN behind the end.
-        success: [E, T].
+        contacts: What its environments record.
         thresholds: Of the classes.
     """
-    episodes = range(len(forces))
 
-    def classed(**changed: Any) -> list[_Told]:
-        at = replace(thresholds, **changed)
-        touch = _Touches.of(contacts, forces, opposition, at)
-        return [_told(contacts, touch, i, progress[i], success[i], at) for i in episodes]
+    contacts: Contacts
+    thresholds: Thresholds = DEFAULT
 
-    found = classed()
-    others = {
-        name: {
-            f"{value:g}": _shares([t.name for t in classed(**{name: value})]) for value in values
-        }
-        for name, values in SENSITIVITY.items()
-    }
-    held = [contacts.targets.index(name) for name in contacts.held]
-    by_part = forces[..., held].sum(axis=(0, 1, 3), dtype=np.float64)
-    whole = by_part.sum() or 1.0
-    last = np.isfinite(progress).sum(axis=1) - 1
-    kept = np.array([bool(success[i, last[i]]) for i in episodes])
-    return Strategies(
-        names=[t.name for t in found],
-        last_contact=np.array([t.last_contact for t in found]),
-        untouched=np.array([t.untouched for t in found]),
-        kept=kept,
-        lost=success.any(axis=1) & ~kept,
-        by_part=dict(zip(contacts.parts, (by_part / whole).tolist(), strict=True)),
-        thresholds=thresholds,
-        sensitivity=others,
-    )
+    @property
+    def words(self) -> Mapping[str, str]:
+        """The classes, and what they are called in this task."""
+        return self.contacts.words
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Forces and the thumb's opposition."""
+        return FORCES, OPPOSITION
+
+    def told(
+        self,
+        seen: Mapping[str, NDArray[Any]],
+        progress: NDArray[Any] | None,
+        success: NDArray[Any] | None,
+    ) -> Ways:
+        """Classes of episodes, and how many would be told otherwise at other thresholds.
+
+        Args:
+            seen: Normal forces (N) after each step, [E, T, P * K], and the opposition of the thumb,
+                [E, T, 1]; zeros behind an episode's end.
+            progress: [E, T], NaN behind the end.
+            success: [E, T].
+
+        Returns:
+            Beside the classes, over the episodes: quantiles of the progress when what is held was
+            last touched, up to the end of the travel, and of the travel's share without any
+            contact; each part's share of the normal force on what is held; the thresholds, and the
+            classes' shares at other values of them.
+        """
+        assert progress is not None, "every task of the hand tells its progress"
+        assert success is not None, "and its success"
+        contacts, opposition = self.contacts, seen[OPPOSITION][..., 0]
+        parts, targets = len(contacts.parts), len(contacts.targets)
+        forces = seen[FORCES].reshape(*opposition.shape, parts, targets)
+
+        def classed(**changed: Any) -> list[_Told]:
+            at = replace(self.thresholds, **changed)
+            touch = _Touches.of(contacts, forces, opposition, at)
+            return [
+                _told(contacts, touch, i, progress[i], success[i], at) for i in range(len(forces))
+            ]
+
+        found = classed()
+        last = np.array([told.last_contact for told in found])
+        untouched = np.array([told.untouched for told in found])
+        return Ways(
+            names=[told.name for told in found],
+            figures={
+                "progress_at_last_contact": _quantiles(last),
+                "travel_untouched": _quantiles(untouched),
+                "travel_untouched_mean": _mean(untouched),
+                "force_by_part": _by_part(contacts, forces),
+                "thresholds": asdict(self.thresholds),
+                "sensitivity": {
+                    name: {f"{value:g}": _shares(classed(**{name: value})) for value in values}
+                    for name, values in SENSITIVITY.items()
+                },
+            },
+            columns={
+                "progress_at_last_contact": _or_none(last),
+                "travel_untouched": _or_none(untouched),
+            },
+        )
+
+    def now(self, seen: TensorDictBase) -> str:
+        """What touches what: ``palm, thumb: handle; first: panel``."""
+        return self.contacts.touching(seen[FORCES][0].cpu().numpy(), self.thresholds.force)
 
 
 @dataclass(frozen=True)
@@ -261,9 +235,15 @@ def _lasting(happens: Bools, gap: int) -> Bools:
     )
 
 
-def _shares(names: Sequence[str]) -> dict[str, float]:
-    counted = Counter(names)
-    return {name: counted[name] / len(names) for name in STRATEGIES}
+def _shares(found: Sequence[_Told]) -> dict[str, float]:
+    return shares([told.name for told in found], STRATEGIES)
+
+
+def _by_part(contacts: Contacts, forces: NDArray[np.float32]) -> dict[str, float]:
+    held = [contacts.targets.index(name) for name in contacts.held]
+    by_part = forces[..., held].sum(axis=(0, 1, 3), dtype=np.float64)
+    whole = by_part.sum() or 1.0
+    return dict(zip(contacts.parts, (by_part / whole).tolist(), strict=True))
 
 
 def _quantiles(values: NDArray[np.float64]) -> list[float] | None:

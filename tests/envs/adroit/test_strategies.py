@@ -10,8 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from envs.contacts import Contacts
-from pipeline.act.strategies import DEFAULT, SENSITIVITY, STRATEGIES, Strategies, told
+from envs import find_task
+from envs.adroit.strategies import DEFAULT, SENSITIVITY, STRATEGIES, HandStrategies
+from envs.adroit.touch import FORCES, OPPOSITION, Contacts
+from envs.strategies import Ways, shares
+from tests.envs.adroit.conftest import HANDS
 
 CONTACTS = Contacts(
     parts=("palm", "thumb", "first"),
@@ -36,13 +39,24 @@ def episode(
     progress: np.ndarray = OPENING,
     newtons: float = 1.0,
     at=EXACT,
-) -> Strategies:
+) -> Ways:
     """One episode in which these parts touch these targets at these steps."""
     forces, opposition = np.zeros((1, 10, 3, 2), np.float32), np.zeros((1, 10), np.float32)
     for (part, target), steps in touches.items():
         forces[0, list(steps), part, target] = newtons
     opposition[0, list(opposed)] = -1.0
-    return told(CONTACTS, forces, opposition, progress[None], progress[None] > 1.4, at)
+    return told(forces, opposition, progress[None], at)
+
+
+def told(forces: np.ndarray, opposition: np.ndarray, progress: np.ndarray, at=DEFAULT) -> Ways:
+    """As environments write it: all parts and targets in one row."""
+    seen = {FORCES: forces.reshape(*forces.shape[:2], -1), OPPOSITION: opposition[..., None]}
+    with np.errstate(invalid="ignore"):
+        return HandStrategies(CONTACTS, at).told(seen, progress, progress > 1.4)
+
+
+def number(found: Ways, column: str) -> list[float]:
+    return [np.nan if value is None else value for value in found.columns[column]]
 
 
 GRASP = {(THUMB, HANDLE): ALL, (FIRST, HANDLE): ALL}
@@ -73,18 +87,20 @@ GRASP = {(THUMB, HANDLE): ALL, (FIRST, HANDLE): ALL}
         (episode({(PALM, HANDLE): ALL}, newtons=0.04), "flung", 1.0, np.nan),
     ],
 )
-def test_each_class(found: Strategies, name: str, untouched: float, last: float):
+def test_each_class(found: Ways, name: str, untouched: float, last: float):
     assert found.names == [name]
-    assert found.untouched == pytest.approx([untouched], nan_ok=True)
-    assert found.last_contact == pytest.approx([last], nan_ok=True)
+    assert number(found, "travel_untouched") == pytest.approx([untouched], nan_ok=True)
+    assert number(found, "progress_at_last_contact") == pytest.approx([last], nan_ok=True)
 
 
 def test_a_gap_between_touches_is_closed():
     """Let go behind step 6; two steps longer leave 0.2 of the travel."""
     found = episode({(PALM, HANDLE): range(7)}, at=DEFAULT)
     assert found.names == ["held"]
-    assert found.untouched == pytest.approx([0.2 / 1.5])
-    assert found.last_contact == pytest.approx([0.9])  # is when it was touched indeed
+    assert number(found, "travel_untouched") == pytest.approx([0.2 / 1.5])
+    assert number(found, "progress_at_last_contact") == pytest.approx(
+        [0.9]
+    )  # is when it was touched indeed
 
 
 def test_what_a_closed_door_gives_is_no_travel():
@@ -92,65 +108,50 @@ def test_what_a_closed_door_gives_is_no_travel():
     progress = OPENING.copy()
     progress[1] = 0.04
     found = episode({(PALM, HANDLE): range(2, 10)}, progress=progress)
-    assert found.untouched == pytest.approx([0.0])
-
-
-def test_an_episode_that_succeeded_and_did_not_stay_so_is_lost_whatever_its_class():
-    shut = np.array([0.0, 0.1, 0.8, 1.5, 1.55, 1.3, 0.9, 0.3, np.nan, np.nan])
-    open_ = np.array([0.0, 0.1, 0.8, 1.5, 1.3, 1.3, 1.45, 1.5, np.nan, np.nan])
-    progress = np.stack([shut, open_, OPENING / 2])
-    forces, opposition = np.zeros((3, 10, 3, 2), np.float32), np.zeros((3, 10), np.float32)
-    forces[:, :, PALM, HANDLE] = 1.0
-    with np.errstate(invalid="ignore"):
-        found = told(CONTACTS, forces, opposition, progress, progress > 1.4, EXACT)
-    assert found.names == ["held", "held", "short"]
-    figures = found.figures(CONTACTS)
-    assert figures["kept_at_end"] == {
-        **dict.fromkeys(STRATEGIES), "held": 0.5, "short": 0.0,
-    }  # fmt: skip
-    assert figures["lost_at_end"] == pytest.approx(1 / 3)
-    # Wilson's interval of 1 of 3.
-    assert figures["lost_at_end_ci95"] == pytest.approx([0.0615, 0.7923], abs=1e-3)
+    assert number(found, "travel_untouched") == pytest.approx([0.0])
 
 
 def test_what_happens_behind_the_success_does_not_count():
     progress = np.array([0.0, 0.1, 0.8, 1.5, 1.55, 1.56, 1.57, 1.57, np.nan, np.nan])
-    with np.errstate(invalid="ignore"):
-        found = episode({(PALM, HANDLE): range(4)}, progress=progress)
+    found = episode({(PALM, HANDLE): range(4)}, progress=progress)
     assert found.names == ["held"]
-    assert found.last_contact == pytest.approx([1.5])
+    assert number(found, "progress_at_last_contact") == pytest.approx([1.5])
 
 
 def test_shares_at_other_thresholds():
     found = episode({(PALM, HANDLE): range(7)})  # 0.4 of its travel untouched
-    of_untouched = found.sensitivity["untouched"]
-    assert {value: shares["flung"] for value, shares in of_untouched.items()} == {
+    of_untouched = found.figures["sensitivity"]["untouched"]
+    assert {value: of["flung"] for value, of in of_untouched.items()} == {
         "0.1": 1.0, "0.25": 1.0, "0.5": 0.0,
     }  # fmt: skip
-    assert found.sensitivity["gap"]["5"]["flung"] == 0.0
-    assert set(found.sensitivity) == set(SENSITIVITY)
+    assert found.figures["sensitivity"]["gap"]["5"]["flung"] == 0.0
+    assert set(found.figures["sensitivity"]) == set(SENSITIVITY)
 
 
 def test_figures_and_columns():
-    whole, flung = episode(GRASP, ALL), episode({(PALM, HANDLE): range(7)})
-    both = replace(
-        whole,
-        names=[*whole.names, *flung.names],
-        last_contact=np.concatenate([whole.last_contact, flung.last_contact]),
-        untouched=np.concatenate([whole.untouched, flung.untouched]),
-        kept=np.concatenate([whole.kept, flung.kept]),
-        lost=np.concatenate([whole.lost, flung.lost]),
+    """Of two episodes: by all that touch the handle, and let go at 0.9 of 1.5."""
+    forces, opposition = np.zeros((2, 10, 3, 2), np.float32), np.zeros((2, 10), np.float32)
+    forces[0, :, [THUMB, FIRST], HANDLE] = 1.0
+    opposition[0] = -1.0
+    forces[1, :7, THUMB, HANDLE] = 1.0
+    forces[1, :7, PALM, EDGE] = 9.0  # is not what is held
+    both = told(forces, opposition, np.stack([OPENING, OPENING]), replace(EXACT, elsewhere=1.0))
+    assert both.names == ["grasp", "flung"]
+    assert both.figures["travel_untouched_mean"] == pytest.approx(0.2)
+    # 10 and 7 steps of the thumb, 10 of the first finger.
+    assert both.figures["force_by_part"] == pytest.approx(
+        {"palm": 0.0, "thumb": 17 / 27, "first": 10 / 27}
     )
-    figures = both.figures(CONTACTS)
-    assert figures["shares"]["grasp"] == figures["shares"]["flung"] == 0.5
-    # Wilson's interval of 1 of 2.
-    assert figures["shares_ci95"]["grasp"] == pytest.approx([0.0945, 0.9055], abs=1e-3)
-    assert figures["travel_untouched_mean"] == pytest.approx(0.2)
-    assert figures["force_by_part"] == {"palm": 0.0, "thumb": 0.5, "first": 0.5}
-    assert both.columns()["strategy"] == ["grasp", "flung"]
-    assert episode({}, progress=OPENING / 10).columns() == {
-        "strategy": ["untouched"], "progress_at_last_contact": [None], "travel_untouched": [None],
+    assert both.columns["progress_at_last_contact"] == pytest.approx([1.5, 0.9])
+    assert both.columns["travel_untouched"] == pytest.approx([0.0, 0.4])
+    assert episode({}, progress=OPENING / 10).columns == {
+        "progress_at_last_contact": [None], "travel_untouched": [None],
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_every_hand_task_has_a_word_for_each_class_in_their_order(hand: str):
+    assert tuple(find_task(hand).strategies.words) == STRATEGIES
 
 
 @given(
@@ -159,12 +160,14 @@ def test_figures_and_columns():
     progress=arrays(np.float64, (3, 10), elements=st.floats(0, 2)),
 )
 def test_every_episode_has_one_strategy(forces, opposition, progress):
-    found = told(CONTACTS, forces, opposition, progress, progress > 1.4)
+    found = told(forces, opposition, progress)
     assert set(found.names) <= set(STRATEGIES)
-    for shares in (found.figures(CONTACTS)["shares"], *found.sensitivity["grasp"].values()):
-        assert sum(shares.values()) == pytest.approx(1.0)
-    known = found.untouched[np.isfinite(found.untouched)]
-    assert ((known >= 0) & (known <= 1 + 1e-9)).all()
+    of_names = shares(found.names, STRATEGIES)
+    for of in (of_names, *found.figures["sensitivity"]["grasp"].values()):
+        assert sum(of.values()) == pytest.approx(1.0)
+    assert found.figures["sensitivity"]["gap"]["2"] == of_names  # the threshold in use
+    known = [share for share in found.columns["travel_untouched"] if share is not None]
+    assert all(0 <= share <= 1 + 1e-9 for share in known)
 
 
 def test_names_that_do_not_fit_are_refused():
