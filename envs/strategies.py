@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
+
+if TYPE_CHECKING:  # in annotations alone: the command line starts without torch
+    from tensordict import TensorDictBase
 
 
 @dataclass(frozen=True)
