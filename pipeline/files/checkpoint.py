@@ -92,8 +92,6 @@ class CollectorState:
     def state_dict(self) -> dict[str, Any]:
         """Everything as tensors, numbers and nested dicts."""
         begun = getattr(self.collector, "begun", None)
-        if begun is not None and not resumes_midway(self.collector.env):
-            begun = None  # nothing could go on from its last step
         return {
             "frames": self.collector._frames,
             "iter": self.collector._iter,

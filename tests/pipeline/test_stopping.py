@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from pipeline.build import build_run
-from pipeline.files.checkpoint import latest_checkpoint
+from pipeline.files.checkpoint import latest_checkpoint, trained_frames
 from pipeline.machine.interruption import Interrupted
 from pipeline.recipe import Recipe
 from pipeline.trainer import Run
@@ -141,6 +141,8 @@ def test_a_run_that_is_stopped_in_any_step_goes_on_as_if_it_had_not_been(
     assert run.trainer.collected_frames == complete * 2 * STEPS
     begun = run.trainer.collector.begun
     assert (0 if begun is None else begun.shape[-1]) == steps
+    saved = latest_checkpoint(tmp_path / "run")  # without one, all would be made again
+    assert trained_frames(saved) == run.trainer.collected_frames
     gone_on(recipes(name), tmp_path / "run")
     compare(tmp_path / "run", uninterrupted(name))
 
