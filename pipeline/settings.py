@@ -91,7 +91,7 @@ def _key(location: Sequence[int | str], values: Mapping[str, Any]) -> str:
         if isinstance(here, Mapping):
             here = here.get(part)
         elif isinstance(here, list | tuple) and isinstance(part, int):
-            here = here[part]
+            here = here[part] if part < len(here) else None
         else:
             break
         parts.append(str(part))

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Final
 
 SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+TOGETHER_S: Final = 0.25
 GRACE_S: Final = 0.5
 """For the handler of a second signal, which lets the system end the process as it would."""
 
@@ -73,12 +75,31 @@ class StopRequest:
             raise Interrupted(self.signum)
 
 
+class SignalCount:
+    """How often somebody asked, which is less often than signals arrive.
+
+    ``timeout`` and a cluster signal every process of a job, and make passes its own on: what comes
+    within ``TOGETHER_S`` of the first is the same request.
+    """
+
+    def __init__(self) -> None:
+        self._first: float | None = None
+
+    def next(self) -> int:
+        """Of the signal that came now: 1, 2 for any that asks again, 0 for a copy of the first."""
+        now = time.monotonic()
+        if self._first is None:
+            self._first = now
+            return 1
+        return 2 if now - self._first >= TOGETHER_S else 0
+
+
 class Interruption:
     """What the signals do: at first they end the program, then what a run does about them."""
 
     def __init__(self) -> None:
         self._request: StopRequest | None = None
-        self._signalled = False
+        self._signals = SignalCount()
 
     def asks(self, request: StopRequest) -> None:
         """From now on the first signal is a request."""
@@ -86,11 +107,12 @@ class Interruption:
 
     def __call__(self, signum: int, _frame: FrameType | None) -> None:
         """Handles a signal."""
-        if self._signalled:
+        number = self._signals.next()
+        if number > 1:
             signal.signal(signum, signal.SIG_DFL)
             os.kill(os.getpid(), signum)
+        if number != 1:
             return
-        self._signalled = True
         if self._request is None:
             raise Interrupted(signum)
         self._request.make(signum)
@@ -118,6 +140,7 @@ def _second_signal_ends_it() -> Iterator[None]:
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
     before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    _writers.add(writer)
     over = threading.Event()
     threading.Thread(target=_count, args=(reader, over), name="signals", daemon=True).start()
     try:
@@ -125,14 +148,25 @@ def _second_signal_ends_it() -> Iterator[None]:
     finally:
         over.set()
         signal.set_wakeup_fd(before)
+        _writers.discard(writer)
         os.close(writer)
 
 
 def _count(reader: int, over: threading.Event) -> None:
     """Ends the process ``GRACE_S`` after the second signal, unless it is ``over`` by then."""
-    signals = 0
+    count = SignalCount()
     while signum := os.read(reader, 1):
-        signals += signum[0] in SIGNALS
-        if signals > 1 and not over.wait(GRACE_S):
+        if signum[0] in SIGNALS and count.next() > 1 and not over.wait(GRACE_S):
             os._exit(128 + signum[0])
     os.close(reader)
+
+
+def _not_in_children() -> None:
+    """A child that a task forks would write its own copies of a terminal's signals to our pipe."""
+    if _writers:
+        signal.set_wakeup_fd(-1)
+
+
+_writers: Final[set[int]] = set()
+"""Ends of the pipes that signals are written to."""
+os.register_at_fork(after_in_child=_not_in_children)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from statistics import fmean
 
@@ -13,6 +14,7 @@ from envs import registry
 from envs.intervals import wilson
 from envs.reference import Column, Reference
 from envs.task import MissingCapabilityError
+from pipeline.files.run_files import TRUST, RunDirectoryError
 from pipeline.results.evaluation import Evaluation
 
 RETURN = "return_mean"
@@ -61,12 +63,18 @@ def reference_of(evaluations: Sequence[Evaluation]) -> Reference:
 
     Raises:
         ValueError: If they are of several tasks.
+        RunDirectoryError: If the task is somebody's code, which only the evaluations name.
         MissingCapabilityError: If the task has no published rows.
     """
     tasks = {str(evaluation.made_from.task_name) for evaluation in evaluations}
     if len(tasks) != 1:
         raise ValueError(f"a table is of one task, and these runs are of {sorted(tasks)}")
     name = tasks.pop()
+    if registry.imports_of(name) and os.environ.get(TRUST) != "1":
+        raise RunDirectoryError(
+            f"{evaluations[0].made_from.run}: its evaluation is of task {name!r}, whose published "
+            f"rows cannot be looked up without running its code. If you trust it, set {TRUST}=1"
+        )
     reference = registry.reference_of(name)
     if reference is None:
         raise MissingCapabilityError(

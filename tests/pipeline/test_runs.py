@@ -291,6 +291,7 @@ def test_writing_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         ("sac", "optim.actor_lr=-1e-3", r"optim\.actor_lr=-0\.001: .* greater than or equal to 0"),
         ("sac", "optim.max_grad_norm=0", r"optim\.max_grad_norm=0: .* greater than 0"),
         ("sac", "loss.reward_scale=0", r": loss\.reward_scale=0: .* greater than 0, or 'auto'$"),
+        ("sac", "task.randomise.delay=[1]", r": task\.randomise\.delay\.1=.*: Field required"),
         ("sac", "loss.gamma=nan", r"loss\.gamma=nan: .* finite"),
         ("sac", "actor.hidden=[]", r"actor\.hidden=\[\]: .* at least 1"),
         ("sac", "precision=fp8", r"precision='fp8': .* 'fp32', 'bf16' or 'auto'"),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import gc
+import os
 import shutil
 import signal
 import subprocess
@@ -19,7 +21,7 @@ from omegaconf import OmegaConf
 from pipeline import train
 from pipeline.build import build_run
 from pipeline.machine.disk import training_stopped_by
-from pipeline.machine.interruption import Interrupted, StopRequest, interruption
+from pipeline.machine.interruption import TOGETHER_S, Interrupted, StopRequest, interruption
 from pipeline.trainer import Run
 from tests.pipeline.resuming import curve_of, differences
 from tests.pipeline.test_resuming import FILE, recipe_of, resumed
@@ -132,7 +134,9 @@ def test_the_second_signal_is_the_system_s_own(monkeypatch: pytest.MonkeyPatch):
     with interruption() as handler:
         handler.asks(request)
         signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)  # the same: make and a cluster signal a job twice
         assert (request.signum, sent) == (signal.SIGINT, [])
+        time.sleep(TOGETHER_S)
         signal.raise_signal(signal.SIGINT)
         assert sent == [signal.SIGINT]
         assert signal.getsignal(signal.SIGINT) is signal.SIG_DFL
@@ -158,11 +162,41 @@ def test_the_second_signal_ends_the_process_whatever_it_does(work: str, codes: s
     assert process.stdout is not None
     process.stdout.readline()
     for _ in range(2):
-        time.sleep(0.5)
+        time.sleep(1.0)
         assert process.poll() is None
         process.send_signal(signal.SIGTERM)
     assert process.wait(timeout=20) in codes
     process.stdout.close()
+
+
+@pytest.mark.parametrize("kind", ["a child of its own", "twice"])
+def test_one_request_that_arrives_several_times_is_one(kind: str):
+    """As a terminal's Ctrl-C where a task has forked, and as `timeout` sends it to make's job."""
+    child = "time.sleep(9) if os.fork() == 0 else None" if kind != "twice" else ""
+    program = (
+        "import os, time\n"
+        "from pipeline.machine.interruption import GRACE_S, StopRequest, interruption\n"
+        "with interruption() as handler:\n"
+        "    handler.asks(StopRequest())\n"
+        f"    {child}\n"
+        "    print('begun', flush=True)\n"
+        "    end = time.monotonic() + 1 + 3 * GRACE_S\n"
+        "    while time.monotonic() < end: time.sleep(0.01)\n"
+        "print('saved', flush=True)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begun\n"
+        try:
+            for _ in range(1 + (kind == "twice")):
+                os.killpg(process.pid, signal.SIGINT)
+            assert process.stdout.readline() == "saved\n"
+            assert process.wait(timeout=20) == 0
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
 
 
 def interrupted_inside(request: StopRequest, after: list[str]) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from envs.door.paper import PAPER, TABLE_1, TABLE_2
+from pipeline.files.run_files import RunDirectoryError
 from pipeline.results.evaluation import Evaluation
 from pipeline.results.run_tables import reference_of, reference_row, render
 from tests.pipeline.results.evaluated import evaluation_of
@@ -154,3 +157,17 @@ def test_a_table_is_of_one_task_that_has_published_rows():
         ValueError, match=r"task gymnasium:Pendulum-v1 has none .* make report RUNS="
     ):
         reference_of([pendulum])
+
+
+@pytest.mark.parametrize("form", ["{folder}/theirs.py:Theirs", "gymnasium:theirs:Theirs-v0"])
+def test_a_table_runs_nothing_that_only_an_evaluation_names(
+    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "theirs.py").write_text("raise ZeroDivisionError('it ran')")
+    monkeypatch.syspath_prepend(tmp_path)
+    named = evaluation_of({"task": form.format(folder=tmp_path)})
+    with pytest.raises(RunDirectoryError, match=r"running its code. If you trust it, set TRUST=1"):
+        reference_of([named])
+    monkeypatch.setenv("TRUST", "1")
+    with pytest.raises(Exception, match="it ran"):
+        reference_of([named])
