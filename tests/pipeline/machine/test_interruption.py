@@ -179,7 +179,7 @@ def test_one_request_that_arrives_several_times_is_one(forked: bool):
         "with interruption() as handler:\n"
         "    handler.asks(StopRequest())\n"
         f"    print({child}, flush=True)\n"
-        "    end = time.monotonic() + 2 + 3 * GRACE_S\n"
+        "    end = time.monotonic() + 3 + 3 * GRACE_S\n"
         "    while time.monotonic() < end: time.sleep(0.01)\n"
         "print('saved', flush=True)"
     )
@@ -190,6 +190,7 @@ def test_one_request_that_arrives_several_times_is_one(forked: bool):
         begun = int(process.stdout.readline())
         try:
             if begun:  # a task ends its child, long before anybody stops the run
+                time.sleep(2 * TOGETHER_S)
                 os.kill(begun, signal.SIGTERM)
                 time.sleep(2 * TOGETHER_S)
             for _ in range(2 - forked):
