@@ -215,6 +215,8 @@ def _origin(row: RunGroup, run: EvaluatedRun) -> list[str]:
 def _command(run: EvaluatedRun) -> str:
     if run.evaluation_or_none is None:
         return again.evaluate(run.path)
+    if run.path.is_file():
+        return "-"  # published figures: no policy to play
     of_config = {
         key.removeprefix(again.TASK): value
         for key, value in run.settings.items()

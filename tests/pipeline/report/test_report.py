@@ -416,6 +416,8 @@ def test_a_published_run_reads_like_a_run(tmp_path: Path):
     # Of docs/results/rows/best/seed0.json: 996 of 1,000 episodes.
     assert line(report, "results", "best")["success"] == "99.6 % [99.0, 99.8]"
     assert len(section(report, "curves").charts) == 3
+    found = line(report, "provenance", "best/seed0.json")
+    assert found["again with"] == "-"  # there is no policy beside it
 
 
 # ------------------------------------------------------------------------------------ the page
