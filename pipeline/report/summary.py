@@ -51,14 +51,16 @@ def _beside(
 ) -> Table:
     lines = []
     for row in rows:
-        line = [row.name, str(len(row.evaluations)), _episodes(row), *spent(row.evaluations)]
+        found = []
         for column in columns:
             theirs = published(row, column.key, reference)
             ours = estimate(row, column)
             text = "-" if ours is None else ours.text(column)
-            line.append(text if theirs is None else f"{text} / {cell(column, theirs)}")
-        lines.append(line)
-    headers = ["row", "seeds", "episodes", *SPENT.values(), *(c.header for c in columns)]
+            found.append(text if theirs is None else f"{text} / {cell(column, theirs)}")
+        counts = [str(len(row.evaluations)), _episodes(row), *spent(row.evaluations)]
+        lines.append([row.name, *found, *counts])
+    # What came out stands first: a phone shows two columns or three.
+    headers = ["row", *(c.header for c in columns), "seeds", "episodes", *SPENT.values()]
     return Table(headers, lines, title)
 
 
