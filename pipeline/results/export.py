@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Final
 
 from pipeline.files.run_files import CONFIG, write_atomically
 from pipeline.policy import WEIGHTS, load_policy, save_weights
 from pipeline.recipe import Recipe
 from pipeline.results.evaluation import Evaluation, MadeFrom
-from pipeline.results.runs import EvaluatedRun
+from pipeline.results.runs import EvaluatedRun, RunGroup
 from pipeline.run_dir import load_recipe, save_recipe
 from pipeline.updates import critic_updates
 
 CARD = "README.md"
+POLICIES: Final = "policies"
+"""Folder of published policies, below that of the results."""
+UNSAFE: Final = re.compile(r"[^A-Za-z0-9._-]+")
+"""What the name of a folder does not hold, because a shell or make reads it as something else."""
 SHOWN = {
     "success_once": "share of episodes that succeed",
     "success_at_end": "share that are successful at their last step",
@@ -24,6 +30,28 @@ SHOWN = {
 def exported_seed(folder: Path) -> int | None:
     """The seed of the policy that ``folder`` holds; None if it holds none."""
     return int(load_recipe(folder).seed) if (folder / WEIGHTS).is_file() else None
+
+
+def export_middle(row: RunGroup, policies: Path, *names: str) -> None:
+    """Writes the policy of a row's run in the middle by success, then return.
+
+    It is chosen among the seeds whose weights are at hand: in a run directory, or published
+    earlier, which then stay.
+
+    Args:
+        row: Evaluated runs of one row.
+        policies: Folder of all published policies.
+        names: Of the folder below it, from the outside in; characters that a shell reads are
+            replaced.
+    """
+    name = "/".join(UNSAFE.sub("_", part) for part in names)
+    kept = exported_seed(policies / name)
+    for run in row.by_distance_to_median:
+        if run.path.is_dir():
+            return export_policy(run, policies / name, name=name)
+        if run.seed == kept:
+            return None
+    return None
 
 
 def export_policy(run: EvaluatedRun, folder: Path, *, name: str) -> None:

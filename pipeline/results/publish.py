@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.files.run_files import EVALUATION, as_json, write_atomically
 from pipeline.results.cells import OWN
 from pipeline.results.curves import AXES
-from pipeline.results.export import export_policy, exported_seed
+from pipeline.results.export import POLICIES, export_middle
 from pipeline.results.plots import plot_curves, plot_diagnostics
 from pipeline.results.reading import ROWS, SEED
 from pipeline.results.rows import (
@@ -29,7 +29,6 @@ TABLE = "table.json"
 TABLES = "tables.md"
 SUMMARY = "summary.md"
 """The short table that the README shows."""
-POLICIES = "policies"
 
 
 def publish(
@@ -72,7 +71,7 @@ def publish(
         if drawn:
             plot_diagnostics(f"{row.name}: {len(drawn)} seeds", drawn, folder / "diagnostics.png")
         if policies:
-            _export(row, out / POLICIES / row.name)
+            export_middle(row, out / POLICIES, row.name)
     for x in AXES:
         plot_curves(rows, x, out / f"curves_{x.key}.png")
     write_atomically(out / TABLE, as_json(table(rows), indent=1) + "\n")
@@ -95,16 +94,6 @@ def has_tables(runs: Path) -> bool:
     if len(kinds) > 1 or task is None or task.reference is None:
         return False
     return reward_of(recipes[0]) in (OWN, *task.rewards[:1])
-
-
-def _export(row: RunGroup, folder: Path) -> None:
-    kept = exported_seed(folder)
-    for run in row.by_distance_to_median:
-        if run.path.is_dir():
-            return export_policy(run, folder, name=row.name)
-        if run.seed == kept:
-            return None
-    return None
 
 
 def table(rows: Sequence[RunGroup]) -> dict[str, Any]:

@@ -358,6 +358,30 @@ def test_the_published_policy_nearest_to_the_median_stays(
     assert exported_seed(tmp_path / "out" / "policies" / "two") == 1
 
 
+def test_a_cell_s_policy_is_of_its_middle_seed_and_judged_as_its_run(runs: Path, tmp_path: Path):
+    """Of two seeds the upper one; two folders, so that it is not the table of one task."""
+    first, second = runs / "best_of_two" / "seed0", runs / "best_of_two" / "seed1"
+    values = {}
+    for name, value in (("a", 10.0), ("b", 0.0)):
+        shutil.copytree({"a": first, "b": second}[name], tmp_path / name / "two" / "seed0")
+        path = tmp_path / name / "two" / "seed0" / EVALUATION
+        values[name] = json.loads(path.read_text())
+        path.write_text(json.dumps({**values[name], "return_mean": value}))
+    out = tmp_path / "out"
+    folders = [str(tmp_path / name) for name in ("a", "b")]
+    done = CliRunner().invoke(app, ["results", *folders, "--out", str(out), "--unclean"])
+    assert done.exit_code == 0, done.output
+    (folder,) = (path.parent for path in (out / "policies").glob(f"*/*/{WEIGHTS}"))
+    row = "dbc_sac_5_demonstrations_not_multiplied"  # and no comma or space, which make splits at
+    assert folder.relative_to(out / "policies").parts == ("door_dense", row)
+    assert exported_seed(folder) == values["a"]["made_from"]["seed"]
+    assert evaluate_run(folder, episodes=2)["return_mean"] == pytest.approx(
+        evaluate_run(first, episodes=2)["return_mean"]
+    )
+    card = (folder / "README.md").read_text()
+    assert f"make eval RUN=docs/results/policies/door_dense/{row}`" in card
+
+
 def test_a_row_of_two_recipes_is_refused():
     earlier = RunGroup("row", (seed_with(0, 1.0, preset="table"),))
     later = RunGroup("row", (seed_with(1, 1.0, preset="paper"),))
