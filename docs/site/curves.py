@@ -18,6 +18,8 @@ from docs.site.task_tables import ONCE, complete
 from pipeline.files.curves import FRAMES, WALL_S
 from pipeline.results.cells import OWN, Place
 from pipeline.results.curves import AXES, Axis, column, curves_over, is_offline
+from pipeline.results.plots import plot_curves
+from pipeline.results.rows import load_published
 from pipeline.results.run_tables import RETURN
 from pipeline.results.runs import RunGroup
 
@@ -46,6 +48,19 @@ def of_tasks(page: Page) -> str:
     """The curves of all rows of the listed cells, likewise."""
     places = list(cells.listed())
     return _panels(places, page, "tasks") or "No learning curve of a cell is published yet."
+
+
+def of_results(page: Page) -> str:
+    """Success and return of the published rows of the paper's task, a figure for each axis."""
+    rows = load_published(page.path.parent)
+    drawn = []
+    for axis in AXES:
+        path = FIGURES / f"results_{axis.key}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        plot_curves(rows, axis, path)
+        says = f"success and return over {axis.label}, mean and interval over seeds"
+        drawn.append(f"![{says}]({os.path.relpath(path, page.path.parent)})")
+    return "\n\n".join(drawn)
 
 
 def profiles(page: Page) -> str:

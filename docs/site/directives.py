@@ -90,6 +90,7 @@ DIRECTIVES: Mapping[str, Callable[[Page], str]] = {
     "tasks-together": lambda _page: task_tables.aggregate(),
     "tasks-curves": curves.of_tasks,
     "tasks-profiles": curves.profiles,
+    "results-curves": curves.of_results,
     "results-summary": _included(DOCS / "results" / "summary.md"),
     "results-tables": _included(DOCS / "results" / "tables.md"),
     "notes": lambda _page: lab.index(),
