@@ -392,6 +392,37 @@ def test_a_public_package_says_what_it_holds(package: str):
     assert first.startswith(('"""', 'r"""'))
 
 
+def of_the_code(texts: dict[str, str]) -> dict[str, str]:
+    """Source and settings, without the tests of them and the documents."""
+    return {
+        name: text
+        for name, text in texts.items()
+        if name.endswith((".py", ".yaml", ".toml")) and not name.startswith(("tests/", "docs/"))
+    }
+
+
+def test_the_notes_and_pages_that_comments_name_exist(committed_texts: dict[str, str]):
+    note, page = re.compile(r"(?<![\w-])(\d\d-[a-z-]+\.md)"), re.compile(r"\bdocs/[\w./-]+\.md")
+    named = {
+        (name, target)
+        for name, text in of_the_code(committed_texts).items()
+        for target in [f"docs/lab/notes/{file}" for file in note.findall(text)] + page.findall(text)
+    }
+    assert ("envs/door/defaults.py", "docs/lab/notes/27-success-steps.md") in named
+    assert {(name, target) for name, target in named if target not in committed_texts} == set()
+
+
+def test_a_section_that_comments_cite_by_number_is_of_a_paper(committed_texts: dict[str, str]):
+    """The sections of our own documents move; their notes have names."""
+    citing = {
+        name: text
+        for name, text in of_the_code(committed_texts).items()
+        if re.search(r"\bsection \d", text)
+    }
+    assert "losses/self_imitation.py" in citing
+    assert [name for name, text in citing.items() if "arXiv:" not in text] == []
+
+
 def test_the_workflow_runs_the_gate_and_nothing_beside_it():
     """One list of targets, so that a push is judged by what `.ci/run` runs anywhere else."""
     workflow = yaml.safe_load((ROOT / ".github/workflows/check.yaml").read_text())
