@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,12 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("configs", "envs", "losses", "pipeline")
 TASKS = ("adroit", "door", "hammer", "pen", "relocate")
 """Folders below `envs` that know what a hand does."""
+GUIDE = ROOT / "CONTRIBUTING.md"
+ENVS = sorted(
+    path
+    for path in (ROOT / "envs").iterdir()
+    if (path.suffix == ".py" and path.stem != "__init__") or (path / "__init__.py").is_file()
+)
 FILE_LINES, FUNCTION_LINES = 300, 60
 SOURCES = sorted(
     [ROOT / "bcsac.py", *(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))]
@@ -108,3 +115,30 @@ def test_a_function_is_as_long_as_from_its_def_to_its_last_line():
     text = "@wraps\ndef one():\n    a = 1\n    return a\n\n\ndef two(): ...\n"
     assert long_functions(text, 2) == [("one", 3)]
     assert long_functions(text, 3) == []
+
+
+def test_the_contributing_guide_lists_the_contracts_of_imports():
+    """All of them, by their names, and its table cites none that is not there."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    names = [contract["name"] for contract in settings["contracts"]]
+    (guide,) = re.findall(r"## Where things go\n(.*?)\n## ", GUIDE.read_text(), re.DOTALL)
+    listed = dict(re.findall(r"^(\d+)\. (.+)$", guide, re.MULTILINE))
+    assert sorted(listed.values()) == sorted(names)
+    cited = re.findall(r"^\| `.*\| ([\d, ]+|-) \|$", guide, re.MULTILINE)
+    assert len(cited) == len(re.findall(r"^\| `", guide, re.MULTILINE))
+    assert {number for cell in cited for number in re.findall(r"\d+", cell)} <= listed.keys()
+
+
+@pytest.mark.parametrize("part", ENVS, ids=named)
+def test_every_part_of_envs_has_a_row_in_the_contributing_guide_and_a_layer(part: Path):
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    layers = [
+        re.split(r" \| ", layer)
+        for contract in settings["contracts"]
+        if contract["name"].startswith("the parts of envs")
+        for layer in contract["layers"]
+    ]
+    assert sum(f"envs.{part.stem}" in layer for layer in layers) == 1
+    (table,) = re.findall(r"\n\| where .*?\n\n", GUIDE.read_text(), re.DOTALL)
+    name = part.name + "/" * part.is_dir()
+    assert re.search(rf"^\| [^|]*`(?:envs/)?{re.escape(name)}`", table, re.MULTILINE)
