@@ -148,6 +148,13 @@ def test_where_training_stops_at_a_refused_episode_the_option_that_goes_on_is_na
         assert "unless `demos.skip_refused=true` leaves" in " ".join(part.split()), name
 
 
+@pytest.mark.parametrize("key", ["bc_nll", "bc_nll_train", "bc_nll_held_out"])
+def test_the_unit_of_an_imitation_error_is_told_by_its_kind(key: str):
+    text = (ROOT / "docs" / "metrics.md").read_text()
+    (row,) = re.findall(rf"^\|[^|]*`{key}`[^|]*\|([^|]*)\|", text, re.MULTILINE)
+    assert row.strip() == "nats; with `loss.imitation=mse` squared units of the action"
+
+
 @pytest.mark.parametrize("path", DOCUMENTS, ids=named)
 def test_what_is_said_to_be_in_the_history_is_there(path: Path):
     git = shutil.which("git")
