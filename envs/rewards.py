@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from torchrl.envs import EnvBase
 
 from envs.demonstrations.episode import Episode
-from envs.demonstrations.multiplication import Player, Variation
 from envs.demonstrations.multiply_config import MultiplyConfig
 from envs.demonstrations.schema import DemoSchema, Floats, Measure
+from envs.demonstrations.variation import Player, Variation
 from envs.options import EnvOptions
 from envs.task import Resimulate, Task
 

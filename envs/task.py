@@ -39,8 +39,8 @@ if TYPE_CHECKING:  # tables and messages ask about tasks without tensors
 
     # At run time they import this module.
     from envs.demonstrations.episode import Episode
-    from envs.demonstrations.multiplication import Variation
     from envs.demonstrations.schema import DemoSchema
+    from envs.demonstrations.variation import Variation
 
 SUCCESS: Final = "success"
 PROGRESS: Final = "progress"

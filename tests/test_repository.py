@@ -11,6 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.version import Version
 
@@ -391,10 +392,48 @@ def test_a_public_package_says_what_it_holds(package: str):
     assert first.startswith(('"""', 'r"""'))
 
 
-def test_ci_runs_the_same_targets_everywhere(committed_texts: dict[str, str]):
-    for name in [".ci/run", ".github/workflows/check.yaml"]:
-        for target in ["make check", "make smoke"]:
-            assert target in committed_texts[name], f"{name} does not call `{target}`"
+def of_the_code(texts: dict[str, str]) -> dict[str, str]:
+    """Source and settings, without the tests of them and the documents."""
+    return {
+        name: text
+        for name, text in texts.items()
+        if name.endswith((".py", ".yaml", ".toml")) and not name.startswith(("tests/", "docs/"))
+    }
+
+
+def test_the_notes_and_pages_that_comments_name_exist(committed_texts: dict[str, str]):
+    note, page = re.compile(r"(?<![\w-])(\d\d-[a-z-]+\.md)"), re.compile(r"\bdocs/[\w./-]+\.md")
+    named = {
+        (name, target)
+        for name, text in of_the_code(committed_texts).items()
+        for target in [f"docs/lab/notes/{file}" for file in note.findall(text)] + page.findall(text)
+    }
+    assert ("envs/door/defaults.py", "docs/lab/notes/27-success-steps.md") in named
+    assert {(name, target) for name, target in named if target not in committed_texts} == set()
+
+
+def test_a_section_that_comments_cite_by_number_is_of_a_paper(committed_texts: dict[str, str]):
+    """The sections of our own documents move; their notes have names."""
+    citing = {
+        name: text
+        for name, text in of_the_code(committed_texts).items()
+        if re.search(r"\bsection \d", text)
+    }
+    assert "losses/self_imitation.py" in citing
+    assert [name for name, text in citing.items() if "arXiv:" not in text] == []
+
+
+def test_the_workflow_runs_the_gate_and_nothing_beside_it():
+    """One list of targets, so that a push is judged by what `.ci/run` runs anywhere else."""
+    workflow = yaml.safe_load((ROOT / ".github/workflows/check.yaml").read_text())
+    steps = [step["run"] for step in workflow["jobs"]["check"]["steps"] if "run" in step]
+    assert steps == ["make install", ".ci/run"]
+    assert os.access(ROOT / ".ci/run", os.X_OK)
+
+
+def test_the_gate_runs_every_kind_of_check(committed_texts: dict[str, str]):
+    targets = re.findall(r"^make ([a-z-]+)", committed_texts[".ci/run"], flags=re.MULTILINE)
+    assert targets == ["check", "test", "smoke", "report", "docs"]
 
 
 def test_what_is_bundled_is_not_ignored():

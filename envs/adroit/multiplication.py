@@ -21,7 +21,7 @@ from envs.demonstrations.schema import DemoSchema
 
 @dataclass(frozen=True)
 class HandVariation:
-    """How a hand task varies its demonstrations; see `envs.demonstrations.multiplication`.
+    """How a hand task varies its demonstrations; see `envs.demonstrations.variation`.
 
     Attributes:
         varying: the task's part.
@@ -78,7 +78,7 @@ class HandVariation:
 
 @dataclass(frozen=True)
 class Player:
-    """Draws attempts and plays them; see `envs.demonstrations.multiplication.Player`."""
+    """Draws attempts and plays them; see `envs.demonstrations.variation.Player`."""
 
     simulator: HandSimulator
     factory: AttemptFactory

@@ -14,7 +14,7 @@ import numpy as np
 from envs.demonstrations.episode import Episode, content_hash
 from envs.demonstrations.errors import DemonstrationError
 from envs.demonstrations.findings import Findings, Kind, Notes
-from envs.demonstrations.multiplication import multiply_cached
+from envs.demonstrations.multiplication_cache import multiply_cached
 from envs.demonstrations.multiply_config import MultiplyConfig
 from envs.demonstrations.report import EpisodeReport, report_episode, saturated_share
 from envs.demonstrations.schema import DemoSchema

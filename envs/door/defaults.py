@@ -30,7 +30,7 @@ DEFAULTS: Final[Mapping[str, Mapping[str, object]]] = MappingProxyType(
         },
         "variant/best": {
             # A fast hand opens the door in 80 of 200 steps, and the other 120 teach it nothing:
-            # twice as many doors are tried in as many frames (section 21).
+            # twice as many doors are tried in as many frames (docs/lab/notes/27-success-steps.md).
             # Deviation: every episode has 200 steps (paper, section IV-A). Evaluations keep them.
             # Undo: env.success_steps=null.
             "env.success_steps": 30,
@@ -38,16 +38,16 @@ DEFAULTS: Final[Mapping[str, Mapping[str, object]]] = MappingProxyType(
             "loss.bc_emphasis.beyond": 0.25,
             "loss.bc_emphasis.progress": 0.02,
             # Paid for how far the door is, not only for passing 0.2, 1.0 and 1.35 rad: it learns
-            # faster (section 14). Rewards are scaled so that values stay where they were.
+            # faster (19-progress-bonus.md). Rewards are scaled so that values stay where they were.
             "loss.progress_bonus": 10.0,
             "loss.progress_bonus_cap": 1.5,
             "loss.reward_scale": 0.03,
             # Success is 1.35 rad. A policy that gets faster also pushes shorter, and copies of
             # demonstrations that only just pass leave it no room: it lets doors go at 1.3 rad
-            # (section 6).
+            # (07-wide.md).
             "demos.multiply.min_progress": 1.5,
             # What a hand does behind an open door, a policy without memory also does behind one
-            # that it only takes for open (section 14).
+            # that it only takes for open (20-demonstration-end.md).
             "demos.end_progress": 1.5,
         },
         "variant/gentle": {

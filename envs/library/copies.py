@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from envs.flatten import Flattener
 from envs.library import calls
 from envs.library.memory import require_memory
-from envs.library.state import OwnStateError, require_same, restore_state, save_state
+from envs.library.own_state import OwnStateError
+from envs.library.state import require_same, restore_state, save_state
 from envs.one_line import kind_and_text
 from envs.task import TaskFailedError
 

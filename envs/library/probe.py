@@ -15,6 +15,7 @@ from envs.library import calls
 from envs.library.actions import ActionScale, UnsupportedActionsError
 from envs.library.copies import Layout
 from envs.library.layers import layers, time_limit
+from envs.library.own_state import OwnStateError, offers_state
 from envs.library.signals import (
     FOUND,
     info_keys,
@@ -24,7 +25,7 @@ from envs.library.signals import (
 )
 from envs.library.single import Env, SingleEnv, quiet
 from envs.library.starts import StartState, start_state
-from envs.library.state import OwnStateError, continues_exactly, offers_state
+from envs.library.state import continues_exactly
 from envs.library.vector_env import Interface
 from envs.one_line import kind_and_text
 from envs.options import TaskOptions

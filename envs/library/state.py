@@ -10,81 +10,28 @@ else one keeps in Python would be missing from the state.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from typing import Any, Final
 
 import gymnasium
-import mujoco
 import numpy as np
 from gymnasium.wrappers import TimeLimit
 from numpy.typing import NDArray
 
 from envs.library.layers import layers
+from envs.library.mujoco_state import mujoco_of, mujoco_state, set_mujoco_state
+from envs.library.own_state import OwnStateError, offers_state, own_state, set_own_state, under
 from envs.library.plain import as_arrays, like
-from envs.one_line import kind_and_text
 
 Array = NDArray[Any]
 Env = gymnasium.Env[Any, Any]
 
-INTEGRATION: Final = mujoco.mjtState.mjSTATE_INTEGRATION
-MODEL_FIELDS: Final = (
-    *("body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat"),
-    *("geom_pos", "geom_quat", "geom_size", "geom_friction", "geom_rgba"),
-    *("site_pos", "site_quat", "site_size", "jnt_range", "dof_damping", "dof_armature"),
-    *("dof_frictionloss", "actuator_gainprm", "actuator_biasprm", "qpos0"),
-)
-"""What environments are known to change of their model when an episode begins."""
-DATA_FIELDS: Final = (
-    *("xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat"),
-    *(
-        "site_xpos",
-        "site_xmat",
-        "cam_xpos",
-        "cam_xmat",
-        "subtree_com",
-        "cdof",
-        "cdof_dot",
-        "cinert",
-    ),
-    *("cvel", "cacc", "cfrc_int", "cfrc_ext", "subtree_linvel", "subtree_angmom", "sensordata"),
-    *("actuator_length", "actuator_velocity", "actuator_force", "act_dot", "ten_length"),
-    *("ten_velocity", "qacc", "qacc_smooth", "qfrc_bias", "qfrc_passive", "qfrc_actuator"),
-    *("qfrc_smooth", "qfrc_constraint", "qfrc_inverse"),
-)
-"""What follows from the state, but as of the last step: observations and rewards may read it."""
 STEPS: Final = 12
 """Steps before and after a restored state for it to count as whole."""
 COUNTERS: Final = ("_step_count", "_reset_next_step")
 """dm_control's own place in an episode."""
 CLASSIC: Final = "gymnasium.envs.classic_control."
 """Modules of environments that keep nothing between steps but their array ``state``."""
-
-
-class OwnStateError(RuntimeError):
-    """``get_state`` or ``set_state`` of somebody's environment does not do; one line says why."""
-
-
-def mujoco_of(env: Env) -> tuple[mujoco.MjModel, mujoco.MjData] | None:
-    """Model and data of ``env``; None if it is no MuJoCo environment that shows them."""
-    inner: Any = env.unwrapped
-    physics = getattr(inner, "physics", None)
-    found = [
-        getattr(holder, "ptr", holder)
-        for holder in (
-            getattr(physics or inner, "model", None),
-            getattr(physics or inner, "data", None),
-        )
-    ]
-    model, data = found
-    if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData):
-        return model, data
-    return None
-
-
-def offers_state(env: Env) -> bool:
-    """Whether ``env``, or a wrapper of it, offers ``get_state()`` and ``set_state(state)``."""
-    return bool(_offering(env))
 
 
 def save_state(env: Env) -> dict[str, Array]:
@@ -95,10 +42,10 @@ def save_state(env: Env) -> dict[str, Array]:
     """
     state: dict[str, Array] = {}
     if mujoco_of(env) is not None:
-        state |= _mujoco_state(env)
+        state |= mujoco_state(env)
     if _is_classic(env):
         state |= _classic_state(env)
-    state |= _own_state(env)
+    state |= own_state(env)
     # The kind of the generator is that of the environment, and no part of the state.
     drawn = {key: value for key, value in _random_state(env).items() if key != "bit_generator"}
     state |= {f"random/{key}": array for key, array in as_arrays(drawn).items()}
@@ -127,11 +74,11 @@ def restore_state(env: Env, state: Mapping[str, Array]) -> None:
     # Wrappers that count or check the order of calls begin an episode.
     env.reset()
     if mujoco_of(env) is not None:
-        _set_mujoco_state(env, state)
+        set_mujoco_state(env, state)
     if _is_classic(env):
         _set_classic_state(env, state)
-    _set_own_state(env, state)
-    _set_random_state(env, like(_random_state(env), _under("random/", state)))
+    set_own_state(env, state)
+    _set_random_state(env, like(_random_state(env), under("random/", state)))
     for key, (holder, _) in _counters(env).items():
         setattr(holder, key.rpartition("/")[2], state[f"counter/{key}"].item())
 
@@ -191,78 +138,6 @@ def _counters(env: Env) -> dict[str, tuple[Any, int]]:
     return found
 
 
-def _offering(env: Env) -> dict[int, Any]:
-    """What offers a state of its own, by its depth in the wrappers."""
-    return {depth: layer for depth, layer in enumerate(layers(env)) if _offers(layer)}
-
-
-def _offers(layer: Any) -> bool:
-    get, put = getattr(layer, "get_state", None), getattr(layer, "set_state", None)
-    return _takes(get) and _takes(put, None)
-
-
-def _takes(function: Any, *arguments: Any) -> bool:
-    """Whether it can be called so; gymnasium's `MujocoEnv` has a ``set_state`` of two arguments."""
-    try:
-        inspect.signature(function).bind(*arguments)
-    except (TypeError, ValueError):
-        return False
-    return True
-
-
-def _own_state(env: Env) -> dict[str, Array]:
-    state: dict[str, Array] = {}
-    for depth, layer in _offering(env).items():
-        try:
-            own = as_arrays(layer.get_state())
-        # Whatever somebody's method raises is told in one line.
-        except Exception as error:
-            raise _failed("get_state()", error) from error
-        state |= {f"own/{depth}/{key}": array for key, array in own.items()}
-    return state
-
-
-def _set_own_state(env: Env, state: Mapping[str, Array]) -> None:
-    # From the inside out: a wrapper may look at what it is wrapped around.
-    for depth, layer in reversed(_offering(env).items()):
-        try:
-            template, saved = layer.get_state(), _under(f"own/{depth}/", state)
-            if missing := saved.keys() ^ as_arrays(template).keys():
-                raise LookupError(f"get_state() gives {min(missing)!r} at some times only")
-            layer.set_state(like(template, saved))
-        except Exception as error:
-            raise _failed("set_state()", error) from error
-
-
-def _failed(name: str, error: Exception) -> OwnStateError:
-    return OwnStateError(f"{name} failed ({kind_and_text(error)})")
-
-
-def _mujoco_state(env: Env) -> dict[str, Array]:
-    found = mujoco_of(env)
-    assert found is not None
-    model, data = found
-    physics = np.empty(mujoco.mj_stateSize(model, INTEGRATION))
-    mujoco.mj_getState(model, data, physics, INTEGRATION)
-    state = {"physics": physics}
-    state |= {f"model/{name}": getattr(model, name).copy() for name in MODEL_FIELDS}
-    return state | {f"data/{name}": getattr(data, name).copy() for name in DATA_FIELDS}
-
-
-def _set_mujoco_state(env: Env, state: Mapping[str, Array]) -> None:
-    found = mujoco_of(env)
-    assert found is not None
-    model, data = found
-    for name in MODEL_FIELDS:
-        getattr(model, name)[...] = state[f"model/{name}"]
-    mujoco.mj_setState(model, data, state["physics"], INTEGRATION)
-    mujoco.mj_forward(model, data)
-    # Forward dynamics moved the solver's warm start.
-    mujoco.mj_setState(model, data, state["physics"], INTEGRATION)
-    for name in DATA_FIELDS:
-        getattr(data, name)[...] = state[f"data/{name}"]
-
-
 def _is_classic(env: Env) -> bool:
     return type(env.unwrapped).__module__.startswith(CLASSIC)
 
@@ -305,7 +180,3 @@ def _set_random_state(env: Env, state: dict[str, Any]) -> None:
         random.set_state(state)
     else:
         random.bit_generator.state = state
-
-
-def _under(prefix: str, state: Mapping[str, Array]) -> dict[str, Array]:
-    return {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}

@@ -47,11 +47,7 @@ def play(
             f"task {run.task.name} has no window to watch it in: make a film instead, "
             f"make video RUN={run_dir}"
         )
-    if without_screen():
-        raise RenderingUnavailableError(
-            f"there is no display ({' or '.join(SCREENS)}): start make play where there is one "
-            f"(over ssh: ssh -X), or make a film, make video RUN={run_dir}"
-        )
+    _require_screen(run_dir)
     if choice is not None and choice.needs_list:
         run.task.require("starts", choice.needs_list)
     numbers: Iterable[int] = count() if choice is None else choice.numbers(run_dir, run.recipe)
@@ -77,3 +73,11 @@ def play(
     finally:
         env.close()
     return shown
+
+
+def _require_screen(run_dir: Path) -> None:
+    if without_screen():
+        raise RenderingUnavailableError(
+            f"there is no display ({' or '.join(SCREENS)}): start make play where there is one "
+            f"(over ssh: ssh -X), or make a film, make video RUN={run_dir}"
+        )

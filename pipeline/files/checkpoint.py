@@ -38,6 +38,7 @@ class BufferAdapter(CheckpointAdapter):
     buffer is empty, and does not fit a buffer of another capacity (a run that goes on for longer).
     """
 
+    # Written into checkpoints and compared when they are read: by another, no run there is goes on.
     adapter_id = "door.replay_buffer"
     rows = "rows"
     writer = "writer.json"

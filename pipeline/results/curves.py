@@ -60,7 +60,8 @@ DIAGNOSTICS: Final = (
     Panel("cosine of the two gradients", ("grad_cosine",)),
     Panel("values in demonstrated states", ("q_demo_actions", "q_policy_actions")),
     Panel("entropy (nats)", ("entropy", "target_entropy")),
-    Panel("imitation error (nats)", ("bc_nll_train", "bc_nll_held_out")),
+    # Its keys are those of curves there are, whatever loss.imitation is.
+    Panel("imitation error (nats; mse: squared action)", ("bc_nll_train", "bc_nll_held_out")),
 )
 """What explains a success or a failure."""
 

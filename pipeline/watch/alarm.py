@@ -110,7 +110,7 @@ def _forgetting(best: Row, now: Row) -> str | None:
     if change is None:
         return None
     return (
-        f"leaving the demonstrations (their negative log-likelihood rose by {change:.1f} nats; try "
+        f"leaving the demonstrations (bc_nll_train, the imitation error, rose by {change:.1f}; try "
         "a smaller optim.actor_lr or a larger imitation weight)"
     )
 
@@ -172,7 +172,7 @@ def _stops(row: Row) -> dict[tuple[str, str], float]:
 
 
 def _rise(best: Row, now: Row, key: str) -> float | None:
-    """By how many nats ``key`` rose since the best row; None for too few to count."""
+    """By how much ``key`` rose since the best row; None for at most ``NATS``."""
     before, after = _number(best, key), _number(now, key)
     if before is None or after is None or after - before <= NATS:
         return None

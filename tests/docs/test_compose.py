@@ -47,10 +47,11 @@ def test_the_python_of_the_page_trains(tmp_path: Path, monkeypatch: pytest.Monke
     bundled = dataclasses.replace(TASK.demos, bundled=demos)
     monkeypatch.setattr(definition, "TASK", dataclasses.replace(TASK, demos=bundled))
     monkeypatch.chdir(tmp_path)
-    names = {"run_dir": tmp_path / "run"}
+    names: dict[str, object] = {}
     exec(compile(snippet("python"), str(TUTORIAL), "exec"), names)
     run = names["run"]
     assert isinstance(run, Run)
+    assert (tmp_path / "runs" / "mine" / "config.yaml").is_file()
     assert run.trainer.collected_frames == run.recipe.collector.total_frames
     assert isinstance(run.trainer.loss_module.bc_weight, LinearWeight)
 

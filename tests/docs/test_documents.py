@@ -13,6 +13,7 @@ import pytest
 from docs.site.places import FRONT, ROOT, pages
 from envs.door.metrics import DoorMetrics
 from pipeline.act.metrics import EpisodeMetrics
+from pipeline.data.demonstrations import DemosSettings
 from pipeline.renamed import IMPLIED, RENAMED
 
 WIDTH = 100
@@ -132,6 +133,26 @@ def test_every_figure_of_an_evaluation_is_explained():
         for name in (field.name for field in fields(metrics)):
             assert name.endswith("_ci95") or f"`{name}`" in text, name
     assert "`angle_mean_deg`" in of_the_door
+
+
+def test_where_training_stops_at_a_refused_episode_the_option_that_goes_on_is_named():
+    assert not DemosSettings().skip_refused
+    found = {
+        named(path): part
+        for path in DOCUMENTS
+        for part in paragraphs(path.read_text())
+        if "demos-check" in part and "where training would" in " ".join(part.split())
+    }
+    assert found.keys() == {"docs/reference/demonstrations.md", "docs/tutorial/your-task.md"}
+    for name, part in found.items():
+        assert "unless `demos.skip_refused=true` leaves" in " ".join(part.split()), name
+
+
+@pytest.mark.parametrize("key", ["bc_nll", "bc_nll_train", "bc_nll_held_out"])
+def test_the_unit_of_an_imitation_error_is_told_by_its_kind(key: str):
+    text = (ROOT / "docs" / "metrics.md").read_text()
+    (row,) = re.findall(rf"^\|[^|]*`{key}`[^|]*\|([^|]*)\|", text, re.MULTILINE)
+    assert row.strip() == "nats; with `loss.imitation=mse` squared units of the action"
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=named)

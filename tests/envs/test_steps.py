@@ -7,7 +7,8 @@ import pytest
 
 from envs.adroit.simulator import HandSimulator
 from envs.demonstrations import MultiplyConfig
-from envs.demonstrations.multiplication import multiply, multiply_cached
+from envs.demonstrations.multiplication import multiply
+from envs.demonstrations.multiplication_cache import multiply_cached
 from envs.door.resimulation import RESIMULATE
 from envs.door.variation import VARY
 from envs.steps import count_steps, counted_steps

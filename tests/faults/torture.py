@@ -27,7 +27,7 @@ import torch
 from tabulate import tabulate
 
 from envs.demonstrations import DemonstrationError, MultiplyConfig, content_hash
-from envs.demonstrations.multiplication import multiply_cached
+from envs.demonstrations.multiplication_cache import multiply_cached
 from envs.door.definition import TASK
 from envs.door.resimulation import RESIMULATE
 from envs.door.variation import VARY

@@ -46,10 +46,11 @@ def test_the_snippet_composes_and_trains(
     monkeypatch.chdir(tmp_path)
     bundled = dataclasses.replace(TASK.demos, bundled=demos)
     monkeypatch.setattr(definition, "TASK", dataclasses.replace(TASK, demos=bundled))
-    names = {"run_dir": tmp_path / "run"}
+    names: dict[str, object] = {}
     exec(compile(snippet, str(README), "exec"), names)
     run = names["run"]
     assert isinstance(run, Run)
+    assert (tmp_path / "runs" / "mine" / "config.yaml").is_file()
     assert run.trainer.collected_frames == run.recipe.collector.total_frames
     assert isinstance(run.trainer.loss_module.bc_weight, CosineWeight)
     assert run.trainer.loss_module.updates > 0

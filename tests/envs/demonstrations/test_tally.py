@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from envs.demonstrations import DemonstrationError, MultiplyConfig
-from envs.demonstrations.multiplication import Tally
+from envs.demonstrations.tally import Tally
 
 
 @dataclass(frozen=True)

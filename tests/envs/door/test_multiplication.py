@@ -23,10 +23,10 @@ from envs.demonstrations import (
     MultiplyConfig,
     content_hash,
     load_demonstrations,
-    multiplication,
+    multiplication_cache,
     multiply,
 )
-from envs.demonstrations.multiplication import cache_key, multiply_cached
+from envs.demonstrations.multiplication_cache import cache_key, multiply_cached
 from envs.demonstrations.selection import ended_at
 from envs.door import task
 from envs.door.definition import TASK
@@ -257,7 +257,7 @@ def test_the_cache_returns_the_same_episodes(
     sources, kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = multiply_cached(sources, config(), VARY, cache_dir=tmp_path)
-    monkeypatch.setattr(multiplication, "multiply", None)
+    monkeypatch.setattr(multiplication_cache, "multiply", None)
     second = multiply_cached(sources, config(), VARY, cache_dir=tmp_path)
     assert content_hash(first) == content_hash(second) == content_hash(kept)
     assert len(list(tmp_path.iterdir())) == 1
@@ -296,7 +296,7 @@ def test_the_cache_key_holds_all_that_matters(sources, monkeypatch: pytest.Monke
         if isinstance(value, int):
             changed = value + 1
         keys.add(cache_key(sources, config(**{field.name: changed}), VARY))
-    monkeypatch.setattr(multiplication, "CODE_VERSION", -1)
+    monkeypatch.setattr(multiplication_cache, "CODE_VERSION", -1)
     keys.add(cache_key(sources, config(), VARY))
     assert len(keys) == 5 + len(dataclasses.fields(MultiplyConfig))
 

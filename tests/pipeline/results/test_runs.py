@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from losses.imitation_errors import IMITATION_ERRORS
 from pipeline.files.run_files import RunDirectoryError
-from pipeline.results.curves import AXES, curve_of, curves_over, last_of
+from pipeline.results.curves import AXES, DIAGNOSTICS, curve_of, curves_over, last_of
 from pipeline.results.reading import load_run
 from pipeline.results.runs import EvaluatedRun, RunGroup
 from tests.pipeline.results.evaluated import evaluated, evaluation_of
@@ -110,3 +111,11 @@ def test_the_last_value_is_the_last_that_is_told():
     told = [{"frames": 0, "y": 1.0}, {"frames": 1, "y": 3.0}, {"frames": 2, "y": None}]
     assert last_of(group(told, [{"frames": 0, "y": 5.0}], []), "y") == 4.0
     assert last_of(group([]), "y") is None
+
+
+def test_an_imitation_error_that_is_not_in_nats_is_named_where_it_is_drawn():
+    """Its keys are the same whatever ``loss.imitation`` is; the label has the unit of each."""
+    others = {name for name, error in IMITATION_ERRORS.items() if "nats" not in str(error.__doc__)}
+    assert others == {"mse"}
+    (panel,) = (panel for panel in DIAGNOSTICS if "bc_nll_train" in panel.keys)
+    assert "(nats; mse: squared action)" in panel.title
