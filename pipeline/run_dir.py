@@ -68,15 +68,15 @@ def existing(path: Path) -> str:
             f"Run directory {path} exists: a run that ended before its first checkpoint. Start it "
             f"again with RESUME={path}, {another}."
         )
-    budget, frames = saved_recipe(path).budget, int(checkpoint.name.rpartition("-")[2])
-    if frames < budget.total:
+    budget, counted = saved_recipe(path).budget, int(checkpoint.name.rpartition("-")[2])
+    if counted < budget.total:
         return (
-            f"Run directory {path} exists: a run at {frames} of {budget.total} frames. Continue "
-            f"it with RESUME={path}, {another}."
+            f"Run directory {path} exists: a run at {counted} of {budget.total} {budget.unit}. "
+            f"Continue it with RESUME={path}, {another}."
         )
     return (
-        f"Run directory {path} exists: a complete run of {frames} frames. Evaluate it with make "
-        f"eval RUN={path}, train it for longer with RESUME={path} "
+        f"Run directory {path} exists: a complete run of {counted} {budget.unit}. Evaluate it "
+        f"with make eval RUN={path}, train it for longer with RESUME={path} "
         f'ARGS="{budget.key}=...", {another}.'
     )
 

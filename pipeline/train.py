@@ -99,11 +99,11 @@ def _train(config: DictConfig, signals: Interruption) -> None:
     try:
         run.train()
     except Interrupted:
-        frames = run.trainer.collected_frames
+        counted = f"{run.trainer.collected_frames} {recipe.budget.unit}"
         terms = recipe.loss.own_terms
         named = [f"{OWN_TERMS}={typed(terms)}"] if terms else []
         further = again.command("train", "", again.task_of(run_dir), named, RESUME=run_dir)
-        print(f"stopped at {frames} frames; go on with: {further}", file=sys.stderr)
+        print(f"stopped at {counted}; go on with: {further}", file=sys.stderr)
         raise
     logger.info("done; evaluate it with: %s", again.evaluate(run.run_dir))
 
