@@ -24,7 +24,7 @@ from pipeline.hooks import DemoUpdateHook
 from pipeline.learn.stepper import BCSACStepper
 from pipeline.machine.products import use_onednn
 from pipeline.recipe import Recipe
-from pipeline.updates import actor_updates
+from pipeline.updates import actor_updates, updates_per_portion
 
 EPISODE = 200
 """Steps of the made-up episodes that fill the buffers."""
@@ -112,9 +112,7 @@ class Updater:
             main_rows=rows,
             demo_rows=round(recipe.sampler.demo_ratio * rows),
             # As many batches at a time as the run has updates between two portions of frames.
-            draws=min(
-                round(recipe.optim.updates_per_frame * recipe.collector.frames_per_batch), DRAWS
-            ),
+            draws=min(updates_per_portion(recipe), DRAWS),
             device=recipe.device,
         )
         self.updates = updates

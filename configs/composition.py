@@ -18,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from configs.schema import register_schema
 from envs.registry import task_defaults
 from pipeline.files.run_files import PLACES
-from pipeline.literals import LITERAL, literal
+from pipeline.literals import LITERAL, TASK_KEY, literal
 from pipeline.recipe import Recipe, TaskSettings
 from pipeline.renamed import rename_override
 
@@ -26,14 +26,14 @@ _logger = logging.getLogger(__name__)
 
 Defaults = Mapping[str, Mapping[str, object]]
 HERE: Final = Path(__file__).parent
-TASK_KEY: Final = "task.name="
 NEW_KEYS: Final = ("task.kwargs.", "task.randomise.factors.", "task.randomise.outside.")
 """Begin the keys of dictionaries, which any task may name."""
 
 
 def task_named(overrides: Sequence[str]) -> str:
     """The task that a command line asks for."""
-    named = [o.removeprefix(TASK_KEY) for o in overrides if o.startswith(TASK_KEY)]
+    parts = [override.partition("=") for override in overrides]
+    named = [value for key, separator, value in parts if separator and key == TASK_KEY]
     return literal(named[-1]) if named else TaskSettings.name
 
 

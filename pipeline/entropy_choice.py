@@ -53,13 +53,22 @@ def with_chosen_entropy(
         return recipe.changed(loss={"target_entropy": None})  # nothing begins as a clone
     with kept_random_state(recipe.device):
         torch.manual_seed(recipe.seed)
-        entropy, entries = mean_entropy(clone(), demos.rows[:ROWS])
+        entropy, entries = mean_entropy(clone(), spread(demos.rows))
     target = round(entropy - BELOW * entries, 1)
     _logger.info(
         "loss.target_entropy=%s: the clone has %.1f nats in the demonstrated states",
         target, entropy,
     )  # fmt: skip
     return recipe.changed(loss={"target_entropy": target})
+
+
+def spread(rows: TensorDictBase) -> TensorDictBase:
+    """At most :data:`ROWS` of the rows [R], at even distances.
+
+    Rows lie in the order of their episodes: the first of a large set are of a few episodes only.
+    """
+    count = len(rows)
+    return rows if count <= ROWS else rows[torch.arange(ROWS) * count // ROWS]
 
 
 @torch.no_grad()

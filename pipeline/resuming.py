@@ -87,17 +87,17 @@ def require_changeable(changed: Changes, recipe: Recipe, run_dir: Path) -> None:
         )
 
 
-def require_budget(recipe: Recipe, frames: int, run_dir: Path, changed: Changes) -> None:
-    """Refuses fewer frames than there are.
+def require_budget(recipe: Recipe, counted: int, run_dir: Path, changed: Changes) -> None:
+    """Refuses a budget that is smaller than what the run has ``counted`` already.
 
     Raises:
         RunDirectoryError: If the run has passed the budget that is asked for.
     """
-    key = recipe.budget.key
-    if key in changed and changed[key][1] < frames:
+    key, unit = recipe.budget.key, recipe.budget.unit
+    if key in changed and changed[key][1] < counted:
         raise RunDirectoryError(
-            f"{run_dir} has {frames} frames already, and {key}={changed[key][1]} asks for fewer: "
-            f"ask for at least {frames}, or start another run with RUN=<new directory>."
+            f"{run_dir} has {counted} {unit} already, and {key}={changed[key][1]} asks for fewer: "
+            f"ask for at least {counted}, or start another run with RUN=<new directory>."
         )
 
 

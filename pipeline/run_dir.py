@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import yaml
 
@@ -26,8 +26,8 @@ from pipeline.renamed import rename_override
 from pipeline.settings import SettingsError
 from pipeline.trust import require_trusted
 
-IDENTITY = ("variant", "preset", "seed")
-"""Keys that say which run it is."""
+IDENTITY: Final = ("variant", "preset", "seed", "run_dir")
+"""Keys that say which run it is; a run that exists brings its own."""
 
 
 def create_run_dir(path: Path, recipe: Recipe) -> None:
@@ -68,15 +68,15 @@ def existing(path: Path) -> str:
             f"Run directory {path} exists: a run that ended before its first checkpoint. Start it "
             f"again with RESUME={path}, {another}."
         )
-    budget, frames = saved_recipe(path).budget, int(checkpoint.name.rpartition("-")[2])
-    if frames < budget.total:
+    budget, counted = saved_recipe(path).budget, int(checkpoint.name.rpartition("-")[2])
+    if counted < budget.total:
         return (
-            f"Run directory {path} exists: a run at {frames} of {budget.total} frames. Continue "
-            f"it with RESUME={path}, {another}."
+            f"Run directory {path} exists: a run at {counted} of {budget.total} {budget.unit}. "
+            f"Continue it with RESUME={path}, {another}."
         )
     return (
-        f"Run directory {path} exists: a complete run of {frames} frames. Evaluate it with make "
-        f"eval RUN={path}, train it for longer with RESUME={path} "
+        f"Run directory {path} exists: a complete run of {counted} {budget.unit}. Evaluate it "
+        f"with make eval RUN={path}, train it for longer with RESUME={path} "
         f'ARGS="{budget.key}=...", {another}.'
     )
 
@@ -118,13 +118,16 @@ def load_recipe(run_dir: Path, overrides: Sequence[str] = (), *, training: bool 
         training: Whether it is trained further, and not only played.
 
     Raises:
-        RunDirectoryError: If there is none, it is damaged, an override names an unknown key, or its
-            task or objective runs somebody's code of which the command line says nothing.
+        RunDirectoryError: If there is none, it is damaged, an override names an unknown key or one
+            of :data:`IDENTITY`, or its task or objective runs somebody's code of which the command
+            line says nothing.
         RunFormatError: If it is a link.
     """
-    path, values = run_dir / CONFIG, saved_values(run_dir)
+    path = run_dir / CONFIG
     # Hydra's mark for new keys is not needed here.
     typed = [rename_override(override.lstrip("+")) for override in overrides]
+    _require_itself(typed, path)
+    values = saved_values(run_dir)
     try:
         recipe = Recipe.of(values, str(path))
         for override in typed:
@@ -134,16 +137,15 @@ def load_recipe(run_dir: Path, overrides: Sequence[str] = (), *, training: bool 
             f"{error} (with overrides {typed})" if typed else str(error)
         ) from error
     require_trusted(recipe, recipe.imports(training=training), typed, path)
-    _require_itself(typed, path)
     return recipe
 
 
 def _require_itself(overrides: list[str], where: Path) -> None:
-    """Refuses to call a run something else than it was trained as."""
-    for key in IDENTITY:
-        for override in overrides:
-            if override.startswith(f"{key}="):
-                raise RunDirectoryError(
-                    f"{where}: what a run was trained as cannot be named anew; leave out "
-                    f"{override}" + (", or set evaluation.seed" if key == "seed" else "")
-                )
+    """Refuses to call a run something else than it was trained as, or to move it."""
+    for override in overrides:
+        key, separator, _ = override.partition("=")
+        if separator and key in IDENTITY:
+            raise RunDirectoryError(
+                f"{where}: which run it is and where it is kept cannot be named anew; leave out "
+                f"{override}" + (", or set evaluation.seed" if key == "seed" else "")
+            )

@@ -17,7 +17,12 @@ from pipeline.data.rows import ROW_KEYS, TransitionRows
 from pipeline.files.time_use import TimeUse
 from pipeline.growth import demonstration_distribution
 from pipeline.recipe import Recipe
-from pipeline.updates import frames_before_learning, portion_frames, updates_per_portion
+from pipeline.updates import (
+    frames_before_learning,
+    frames_of_run,
+    portion_frames,
+    updates_per_portion,
+)
 
 ROW_LIMIT = 1_000_000
 """The main buffer holds the whole run up to this many frames, or ``sampler.capacity``."""
@@ -117,7 +122,7 @@ def _capacity(recipe: Recipe) -> int:
     at_once = portion_frames(recipe) + copies * (n_step - 1)
     capacity = recipe.sampler.capacity
     if capacity is None:
-        return max(min(recipe.collector.total_frames, ROW_LIMIT), at_once)
+        return max(min(frames_of_run(recipe), ROW_LIMIT), at_once)
     if capacity < at_once:
         raise ValueError(
             f"sampler.capacity ({capacity}) must hold at least one collected batch and the rows "

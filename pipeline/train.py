@@ -18,6 +18,7 @@ from configs import prepare, recipe_of, require_known
 from envs.task import TaskFailedError
 from pipeline.build import build_run
 from pipeline.learn.own_terms import KEY as OWN_TERMS
+from pipeline.literals import typed
 from pipeline.machine.disk import training_stopped_by
 from pipeline.machine.interruption import Interrupted, Interruption, interruption
 from pipeline.machine.memory import told_memory
@@ -29,9 +30,6 @@ from pipeline.run_dir import load_recipe
 
 logger = logging.getLogger(__name__)
 
-IDENTITY = {"variant", "preset", "run_dir"}
-"""Overrides that say which run it is; a resumed run brings its own."""
-
 
 def resolve(config: DictConfig) -> tuple[Recipe, Path, bool]:
     """The recipe, the run directory and whether an earlier run in it goes on.
@@ -40,19 +38,14 @@ def resolve(config: DictConfig) -> tuple[Recipe, Path, bool]:
     command line are put on top of it.
 
     Raises:
-        ValueError: If a resumed run is also told what it is, or a value is not possible.
-        RunDirectoryError: If there is no run to resume.
+        ValueError: If a value is not possible.
+        RunDirectoryError: If there is no run to resume, or it is also told what it is.
     """
     if config.resume is None:
         return recipe_of(config), Path(config.run_dir), False
     run_dir = Path(config.resume)
-    typed = [o for o in HydraConfig.get().overrides.task if not o.startswith("resume=")]
-    chosen = [o for o in typed if o.split("=")[0] in IDENTITY]
-    if chosen:
-        raise ValueError(
-            f"resume={run_dir} continues that run as what it is; leave out {', '.join(chosen)}."
-        )
-    return load_recipe(run_dir, typed, training=True), run_dir, True
+    asked = [o for o in HydraConfig.get().overrides.task if not o.startswith("resume=")]
+    return load_recipe(run_dir, asked, training=True), run_dir, True
 
 
 @hydra.main(version_base="1.3", config_path="pkg://configs", config_name="train")
@@ -106,11 +99,11 @@ def _train(config: DictConfig, signals: Interruption) -> None:
     try:
         run.train()
     except Interrupted:
-        frames = run.trainer.collected_frames
+        counted = f"{run.trainer.collected_frames} {recipe.budget.unit}"
         terms = recipe.loss.own_terms
-        named = [f"{OWN_TERMS}=[{','.join(terms)}]"] if terms else []
+        named = [f"{OWN_TERMS}={typed(terms)}"] if terms else []
         further = again.command("train", "", again.task_of(run_dir), named, RESUME=run_dir)
-        print(f"stopped at {frames} frames; go on with: {further}", file=sys.stderr)
+        print(f"stopped at {counted}; go on with: {further}", file=sys.stderr)
         raise
     logger.info("done; evaluate it with: %s", again.evaluate(run.run_dir))
 

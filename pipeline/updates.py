@@ -21,10 +21,13 @@ def portion_frames(recipe: Recipe) -> int:
 
 
 def updates_per_portion(recipe: Recipe) -> int:
-    """Updates after each collected portion.
+    """Updates after each collected portion: as many for each frame as were asked for.
+
+    Where the copies make a portion larger than ``collector.frames_per_batch``, it is the nearest
+    whole number.
 
     Raises:
-        ValueError: If it is no whole number of at least 1.
+        ValueError: If it is no whole number of at least 1 for a portion as large as was asked for.
     """
     updates = recipe.optim.updates_per_frame * recipe.collector.frames_per_batch
     if updates < 1 or abs(updates - round(updates)) > 1e-9:
@@ -33,7 +36,13 @@ def updates_per_portion(recipe: Recipe) -> int:
             f"collector.frames_per_batch ({recipe.collector.frames_per_batch}) must be a whole "
             f"number of at least 1, got {updates}."
         )
-    return round(updates)
+    return round(recipe.optim.updates_per_frame * portion_frames(recipe))
+
+
+def frames_of_run(recipe: Recipe) -> int:
+    """Frames that the whole run collects: ``collector.total_frames`` in whole portions."""
+    frames = portion_frames(recipe)
+    return _portions(recipe.collector.total_frames, frames) * frames
 
 
 def frames_before_learning(recipe: Recipe) -> int:
@@ -52,7 +61,7 @@ def main_updates(recipe: Recipe) -> int:
         return _portions(recipe.bc.updates, CLONING_PORTION) * CLONING_PORTION
     updates, frames = updates_per_portion(recipe), portion_frames(recipe)
     first = frames_before_learning(recipe) // frames
-    learning = _portions(recipe.collector.total_frames, frames) - first + 1
+    learning = frames_of_run(recipe) // frames - first + 1
     return max(learning, 0) * updates
 
 

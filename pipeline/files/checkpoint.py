@@ -179,7 +179,7 @@ def latest_checkpoint(run_dir: Path) -> Path:
     if latest is None:
         raise FileNotFoundError(
             f"{run_dir} holds no checkpoint below {CHECKPOINTS}/; is it a run directory, and did "
-            "the run get as far as logging.checkpoint_interval frames?"
+            "the run get as far as logging.checkpoint_interval?"
         )
     return latest
 

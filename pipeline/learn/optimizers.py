@@ -24,7 +24,7 @@ class OptimSettings:
     actor_lr: Rate = 1e-5
     critic_lr: Rate = 1e-5
     temperature_lr: Rate = 1e-5
-    updates_per_frame: Positive = 1.0
+    updates_per_frame: Positive = 1.0  # of what all copies collect together
     actor_period: Count = 1  # critic updates per actor and temperature update
     target_period: Count = 2  # critic updates per target update
     actor_delay: NotNegative = 0  # critic updates before the first actor update (critic warm-up)

@@ -16,7 +16,7 @@ import yaml
 from envs.options import TaskOptions
 from envs.registry import imports_of
 from pipeline.files.run_files import CONFIG
-from pipeline.literals import TASK_KEY, literal
+from pipeline.literals import TASK_KEY, literal, typed
 from pipeline.renamed import rename_keys
 
 TASK: Final = "task."
@@ -50,7 +50,7 @@ def command(
     if TASK_KEY in asked and not named:
         named = [str(task["name"])]
     given = {TASK_KEY, *(key for key, _, _ in map(_parts, rest))}
-    rest += [f"{key}={_typed(task[key.removeprefix(TASK)])}" for key in asked if key not in given]
+    rest += [f"{key}={typed(task[key.removeprefix(TASK)])}" for key in asked if key not in given]
     told = {"RUN": run, **words, "TASK": "".join(named[-1:]), "ARGS": " ".join(rest)}
     return " ".join(
         ["make", target, *(f"{k}={shlex.quote(str(v))}" for k, v in told.items() if str(v))]
@@ -68,10 +68,6 @@ def _options(task: Mapping[str, Any]) -> TaskOptions:
     if isinstance(wrappers, list | tuple):
         found["wrappers"] = tuple(map(str, wrappers))
     return TaskOptions(**found)
-
-
-def _typed(value: Any) -> str:
-    return f"[{','.join(map(str, value))}]" if isinstance(value, list | tuple) else str(value)
 
 
 def task_of(run: Path) -> Mapping[str, Any]:

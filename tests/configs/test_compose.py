@@ -19,12 +19,21 @@ from pipeline.recipe import Recipe
 from pipeline.renamed import RENAMED, rename_keys
 from pipeline.run_dir import load_recipe
 from pipeline.settings import SettingsError
+from pipeline.updates import portion_frames, updates_per_portion
 
 POLICIES = Path(__file__).parents[2] / "docs" / "results" / "policies"
 PAPER = ["sac", "bc", "bc_sac", "dbc_sac", "sid_bc", "sid_dbc", "ila_bc", "ila_dbc", "da_sac"]
 RIVALS = ["ibrl", "loki", "qc_rlpd", "rfcl", "rlpd", "sacfd", "sil"]
 VARIANTS = [*PAPER, "best", "gentle", *RIVALS]
 PRESETS = ["smoke", "default", "table", "paper"]
+UPDATES = {"smoke": 10, "default": 150, "table": 75, "paper": 1}
+"""After each portion: 0.1, 0.3, 0.15 and 1 a frame, of 100, 500, 500 and 1 frames."""
+RIVALS_UPDATES = {
+    "qc_rlpd": {"smoke": 100, "default": 500, "table": 500, "paper": 1},
+    "rfcl": {"smoke": 1000, "default": 5000, "table": 5000, "paper": 10},
+    "rlpd": {"smoke": 2000, "default": 10_000, "table": 10_000, "paper": 20},
+}
+"""Those that make 1, 10 and 20 a frame, whatever the preset."""
 
 
 def compose_config(variant: str, preset: str, *overrides: str) -> Recipe:
@@ -62,6 +71,9 @@ def test_every_variant_composes_with_every_preset(variant: str, preset: str):
     config = compose_config(variant, preset)
     assert (config.variant, config.preset) == (variant, preset)
     assert Recipe.of(config.plain(), "itself") == config
+    # Published numbers are of portions that the copies divide.
+    assert portion_frames(config) == config.collector.frames_per_batch
+    assert updates_per_portion(config) == RIVALS_UPDATES.get(variant, UPDATES)[preset]
 
 
 @pytest.mark.parametrize("preset", PRESETS)

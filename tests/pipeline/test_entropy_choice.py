@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import torch
 from tensordict import TensorDict
 
 from configs import compose
+from pipeline import entropy_choice
 from pipeline.build import build_run
 from pipeline.data.demonstrations import Demonstrations
 from pipeline.entropy_choice import mean_entropy, with_chosen_entropy
@@ -53,6 +55,25 @@ def test_the_target_is_a_fifth_of_a_nat_an_entry_below_the_clone():
     # 2 * (1.4189 - 4 - 0.2), but for the draws.
     assert chosen == pytest.approx(-5.56, abs=0.1)
     assert with_chosen_entropy(CLONE, lambda: clone, demonstrations()).loss.target_entropy == chosen
+
+
+def test_the_entropy_is_measured_all_over_a_large_set(monkeypatch: pytest.MonkeyPatch):
+    numbered = replace(
+        demonstrations(), rows=TensorDict({"observation": torch.arange(11.0).unsqueeze(-1)}, [11])
+    )
+    seen = []
+
+    def measured(_actor: object, rows: TensorDict) -> tuple[float, int]:
+        seen.append(rows["observation"].flatten().tolist())
+        return 0.0, 2
+
+    monkeypatch.setattr(entropy_choice, "mean_entropy", measured)
+    for rows in (4, 11):  # 0, 11/4, 22/4 and 33/4; all of a set that is no larger
+        monkeypatch.setattr(entropy_choice, "ROWS", rows)
+        state = torch.get_rng_state()
+        with_chosen_entropy(CLONE, lambda: None, numbered)
+        assert torch.equal(torch.get_rng_state(), state)
+    assert seen == [[0.0, 2.0, 5.0, 8.0], [float(row) for row in range(11)]]
 
 
 def unasked():

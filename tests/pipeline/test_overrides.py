@@ -69,7 +69,7 @@ def test_what_is_no_value_is_refused_by_its_key(override: str):
     assert "\n" not in told
 
 
-@pytest.mark.parametrize("override", ["variant=sac", "+preset=paper", "seed=3"])
+@pytest.mark.parametrize("override", ["variant=sac", "+preset=paper", "seed=3", "run_dir=other"])
 def test_a_run_stays_what_it_was_trained_as(override: str, tmp_path: Path):
     create_run_dir(tmp_path / "run", compose("variant=dbc_sac", "preset=smoke"))
     with pytest.raises(RunDirectoryError, match="leave out " + override.lstrip("+")):

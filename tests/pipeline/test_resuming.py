@@ -216,6 +216,27 @@ def test_a_directory_in_the_way_is_described(state: str, message: str, tmp_path:
     assert message in str(error.value)
 
 
+def test_a_clone_counts_updates(tmp_path: Path):
+    """100 of 200 updates of cloning, and then all of them."""
+    reach.record(tmp_path / "reach.h5")
+    recipe = compose(
+        "variant=bc", "preset=smoke", f"task.name='{FILE}'", "bc.updates=200",
+        f"demos.source='{tmp_path / 'reach.h5'}'", f"cache_dir='{tmp_path / 'cache'}'",
+        "evaluation.interval=0", "logging.checkpoint_interval=99",
+    )  # fmt: skip
+    run = build_run(recipe, tmp_path / "run")
+    run.trainer.total_frames = 100
+    run.train()
+    with pytest.raises(RunDirectoryError, match=r": a run at 100 of 200 updates of cloning\. Cont"):
+        build_run(recipe, tmp_path / "run")
+    few = "has 100 updates of cloning already, and bc.updates=50 asks for fewer: ask for at least"
+    with pytest.raises(RunDirectoryError, match=few):
+        resumed(tmp_path / "run", "bc.updates=50")
+    resumed(tmp_path / "run").train()
+    with pytest.raises(RunDirectoryError, match=r": a complete run of 200 updates of cloning\. Ev"):
+        build_run(recipe, tmp_path / "run")
+
+
 HOLD = """
 import sys, time
 from pathlib import Path

@@ -365,11 +365,17 @@ def test_a_run_composed_without_hydra(tmp_path: Path, demos: Path):
     assert not (run.run_dir / LEARNING_CURVE).exists()
 
 
-@pytest.mark.parametrize(("capacity", "kept"), [(None, 40), (30, 30), (60, 40)])
+@pytest.mark.parametrize(
+    ("capacity", "total", "kept"),
+    [(None, 40, 40), (30, 40, 30), (60, 40, 40), (None, 30, 40)],  # the last: whole portions of 20
+)
+@pytest.mark.filterwarnings("ignore:.*is not exactly a multiple")
+@pytest.mark.filterwarnings("ignore:.*is not exactly divisible")
 def test_the_main_buffer_holds_the_last_frames(
-    capacity: int | None, kept: int, tmp_path: Path, demos: Path
+    capacity: int | None, total: int, kept: int, tmp_path: Path, demos: Path
 ):
-    config = tiny_config("sac", tmp_path, demos, f"sampler.capacity={capacity or 'null'}")
+    options = (f"sampler.capacity={capacity or 'null'}", f"collector.total_frames={total}")
+    config = tiny_config("sac", tmp_path, demos, *options)
     run, seen = built(config), []
     run.trainer.register_op("batch_process", lambda batch: seen.append(batch.clone()) or batch)
     run.train()

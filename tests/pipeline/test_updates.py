@@ -8,7 +8,15 @@ import pytest
 
 from configs import compose
 from pipeline.learner import average_decay
-from pipeline.updates import actor_updates, critic_updates, late_actor, main_updates
+from pipeline.recipe import Recipe
+from pipeline.updates import (
+    actor_updates,
+    critic_updates,
+    frames_of_run,
+    late_actor,
+    main_updates,
+    updates_per_portion,
+)
 from tests.pipeline.toys import built, tiny_config
 
 PENDULUM = (
@@ -28,21 +36,22 @@ PENDULUM = (
 
 
 @pytest.mark.parametrize(
-    ("frames", "random", "envs", "portions"),
+    ("frames", "random", "envs", "portions", "each"),
     [
-        (80, 0, 2, 4),
-        (70, 0, 2, 4),  # whole portions: 80 frames are collected
-        (80, 20, 2, 4),  # the first portion completes the random frames, and is learned from
-        (80, 40, 2, 3),
-        (80, 50, 2, 2),  # complete with the third portion
-        (80, 500, 2, 0),
-        (70, 30, 3, 3),  # portions of 21 frames: 21, 42, 63, 84; the first is too early
+        (80, 0, 2, 4, 4),
+        (70, 0, 2, 4, 4),  # whole portions: 80 frames are collected
+        (80, 20, 2, 4, 4),  # the first portion completes the random frames, and is learned from
+        (80, 40, 2, 3, 4),
+        (80, 50, 2, 2, 4),  # complete with the third portion
+        (80, 500, 2, 0, 4),
+        (70, 30, 3, 3, 4),  # portions of 21 frames: 21, 42, 63, 84; the first is too early
+        (70, 0, 32, 3, 6),  # portions of 32 frames, a step of each copy: 6.4 updates
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*is not exactly a multiple")
 @pytest.mark.filterwarnings("ignore:.*is not exactly divisible")
 def test_online_updates_by_hand_and_by_a_run(
-    frames: int, random: int, envs: int, portions: int, tmp_path: Path, demos: Path
+    frames: int, random: int, envs: int, portions: int, each: int, tmp_path: Path, demos: Path
 ):
     options = (
         *PENDULUM,
@@ -53,8 +62,8 @@ def test_online_updates_by_hand_and_by_a_run(
         "optim.actor_delay=3",
     )
     config = tiny_config("sac", tmp_path, demos, *options)
-    assert main_updates(config) == critic_updates(config) == 4 * portions
-    assert actor_updates(config) == max(4 * portions - 3, 0) // 2
+    assert main_updates(config) == critic_updates(config) == each * portions
+    assert actor_updates(config) == max(each * portions - 3, 0) // 2
     run = built(config)
     run.train()
     assert run.trainer._optim_count == main_updates(config)
@@ -64,6 +73,27 @@ def test_online_updates_by_hand_and_by_a_run(
     if portions:
         # The annealing has just come to its end.
         assert stepper.optimizers["actor"].param_groups[0]["lr"] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("per_frame", "asked", "envs", "updates", "frames"),
+    [
+        (0.3, 500, 10, 150, 1000),  # 2 portions of 500 for 900 frames
+        (0.3, 500, 64, 154, 1024),  # portions of 512: 153.6 updates
+        (1.0, 1, 64, 64, 960),  # as many as frames, not one for all copies; 15 portions
+        (0.2, 20, 3, 4, 903),  # 43 portions of 21: 4.2 updates
+    ],
+)
+def test_updates_are_counted_by_what_is_collected(
+    per_frame: float, asked: int, envs: int, updates: int, frames: int
+):
+    recipe = Recipe().changed(
+        env={"num_envs": envs},
+        optim={"updates_per_frame": per_frame},
+        collector={"frames_per_batch": asked, "total_frames": 900},
+    )
+    assert updates_per_portion(recipe) == updates
+    assert frames_of_run(recipe) == frames
 
 
 @pytest.mark.parametrize("period", [1, 3])

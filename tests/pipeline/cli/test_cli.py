@@ -303,6 +303,7 @@ def test_bad_input_is_one_line_and_exit_code_1(
     [
         (("resume=taken",), "taken is not a run directory: it holds no config.yaml"),
         (("resume=taken", "variant=sac"), "leave out variant=sac"),
+        (("resume=taken", "seed=3"), "leave out seed=3"),
         (("resume=taken", "run_dir=other"), "leave out run_dir='other'"),
     ],
 )

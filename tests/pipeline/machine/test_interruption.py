@@ -22,6 +22,7 @@ from pipeline import train
 from pipeline.build import build_run
 from pipeline.machine.disk import training_stopped_by
 from pipeline.machine.interruption import TOGETHER_S, Interrupted, StopRequest, interruption
+from pipeline.recipe import Recipe
 from pipeline.trainer import Run
 from tests.pipeline.resuming import curve_of, differences
 from tests.pipeline.test_resuming import FILE, recipe_of, resumed
@@ -295,6 +296,26 @@ def test_a_checkpoint_for_which_there_is_no_room_leaves_the_last_one(
     assert checkpoints[-1].name == "checkpoint-000000000040"
     monkeypatch.undo()
     resumed(tmp_path / "run").train()
+
+
+@pytest.mark.parametrize(
+    ("offline", "counted"), [(False, "40 frames"), (True, "40 updates of cloning")]
+)
+def test_what_a_stopped_run_has_counted_is_named(
+    offline: bool, counted: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
+    def stopped() -> None:
+        raise Interrupted(signal.SIGTERM)
+
+    run = SimpleNamespace(
+        run_dir=tmp_path, stop=None, train=stopped, trainer=SimpleNamespace(collected_frames=40)
+    )
+    recipe = Recipe().changed(offline=offline)
+    monkeypatch.setattr(train, "resolve", lambda _config: (recipe, tmp_path, False))
+    monkeypatch.setattr(train, "build_run", lambda *_arguments, **_options: run)
+    with pytest.raises(Interrupted):
+        train._train(OmegaConf.create(), SimpleNamespace(asks=lambda _stop: None))
+    assert capsys.readouterr().err.startswith(f"stopped at {counted}; go on with: make train ")
 
 
 def test_a_curve_that_cannot_be_written_ends_the_run(tmp_path: Path):
