@@ -17,12 +17,12 @@ from omegaconf.errors import OmegaConfBaseException
 from configs import prepare, recipe_of, require_known
 from envs.task import TaskFailedError
 from pipeline.build import build_run
-from pipeline.learn.own_terms import KEY as OWN_TERMS
 from pipeline.machine.disk import training_stopped_by
 from pipeline.machine.interruption import Interrupted, Interruption, interruption
 from pipeline.machine.memory import told_memory
 from pipeline.machine.sweep import note, sweep
 from pipeline.non_finite import EXIT_CODE, NonFiniteError
+from pipeline.own_parts import typed, word
 from pipeline.recipe import Recipe
 from pipeline.results import again
 from pipeline.run_dir import load_recipe
@@ -107,8 +107,7 @@ def _train(config: DictConfig, signals: Interruption) -> None:
         run.train()
     except Interrupted:
         frames = run.trainer.collected_frames
-        terms = recipe.loss.own_terms
-        named = [f"{OWN_TERMS}=[{','.join(terms)}]"] if terms else []
+        named = [word(f"{kind.key}={typed(entries)}") for kind, entries in recipe.own_parts]
         further = again.command("train", "", again.task_of(run_dir), named, RESUME=run_dir)
         print(f"stopped at {frames} frames; go on with: {further}", file=sys.stderr)
         raise
