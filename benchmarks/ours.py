@@ -18,7 +18,7 @@ from envs.door.task import ACTION_SIZE, OBSERVATION_SIZE
 from pipeline import components
 from pipeline.compute import hidden_dtype, resolve_compute
 from pipeline.data.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
-from pipeline.data.mixture import DRAWS, Mixture
+from pipeline.data.mixture import DRAWS, BatchPart, Mixture
 from pipeline.data.rows import TransitionRows
 from pipeline.hooks import DemoUpdateHook
 from pipeline.learn.stepper import BCSACStepper
@@ -107,10 +107,10 @@ class Updater:
         )
         rows = recipe.sampler.batch_size
         self.mixture = Mixture(
-            main,
-            demos,
-            main_rows=rows,
-            demo_rows=round(recipe.sampler.demo_ratio * rows),
+            {
+                "main": BatchPart(main, rows),
+                "demos": BatchPart(demos, round(recipe.sampler.demo_ratio * rows), is_demo=True),
+            },
             # As many batches at a time as the run has updates between two portions of frames.
             draws=min(updates_per_portion(recipe), DRAWS),
             device=recipe.device,
@@ -120,7 +120,9 @@ class Updater:
         performed = float(updates)
         period = recipe.sampler.demo_update_period
         if period:
-            demo_batches = Mixture(None, demos, main_rows=0, demo_rows=rows, device=recipe.device)
+            demo_batches = Mixture(
+                {"demos": BatchPart(demos, rows, is_demo=True)}, device=recipe.device
+            )
             self.demo_update = DemoUpdateHook(self.stepper, demo_batches, period)
             performed += updates / period
         self.units = 1.0 if frame else performed

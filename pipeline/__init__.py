@@ -6,7 +6,8 @@
        batch_process        EpisodeHook    cuts the stream into whole episodes: statistics, SID,
                                            backtracking (the actor returns to its last good weights)
                             StoreHook      n-step rewards, flatten -> main replay buffer
-       process_optim_batch  Mixture        exact row counts from main and D = demo + grown
+       process_optim_batch  Mixture        exact row counts from main, D = demo + grown, and
+                                           sources of a user
        optimization_stepper BCSACStepper   critic -> actor (RL and BC) -> temperature -> target
        post_optim           DemoUpdateHook Algorithm 1 of the paper: an extra update on D
                             ActorAverageHook

@@ -118,7 +118,9 @@ def _compose(recipe: Recipe, run_dir: Path, time_use: TimeUse) -> Run:
     task = recipe.find_task()
     if late := late_actor(recipe):
         _logger.warning("%s", late)
-    if recipe.curriculum.reverse:  # before minutes of demonstrations
+    for kind, entries in recipe.own_parts:  # before minutes of demonstrations
+        kind.require(entries)
+    if recipe.curriculum.reverse:
         task.require("states", "curriculum.reverse=true")
     with time_use.part("demonstrations"):
         demos = _demonstrations(unscaled(recipe), task)

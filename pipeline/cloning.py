@@ -17,7 +17,7 @@ from pipeline.act.policy_wrappers import acting_policy, unwrapped
 from pipeline.compute import hidden_dtype, replays_updates
 from pipeline.data.buffers import DemonstrationDistribution, make_core_buffer
 from pipeline.data.demonstrations import Demonstrations
-from pipeline.data.mixture import DRAWS, Mixture
+from pipeline.data.mixture import DRAWS, BatchPart, Mixture
 from pipeline.files.checkpoint import (
     load_component,
     load_trainer,
@@ -49,6 +49,11 @@ def build_offline(
     """Behaviour cloning (paper, section III-B): updates on D alone."""
     if demos is None:
         raise ValueError("offline=true trains on demonstrations alone: set demos.source.")
+    if recipe.sampler.own_sources:
+        raise ValueError(
+            "offline=true trains on demonstrations alone, and sampler.own_sources would not be "
+            "drawn from: leave it out, or set offline=false."
+        )
     env = components.make_training_env(recipe, task)
     normalizer = components.make_normalizer(recipe.actor, demos)
     dtype = hidden_dtype(recipe)
@@ -62,10 +67,7 @@ def build_offline(
     env.close()
     core = DemonstrationDistribution(make_core_buffer(demos.rows, recipe.device))
     mixture = Mixture(
-        None,
-        core,
-        main_rows=0,
-        demo_rows=recipe.bc.batch_size,
+        {"demos": BatchPart(core, recipe.bc.batch_size, is_demo=True)},
         draws=DRAWS,
         device=recipe.device,
     )
@@ -121,6 +123,7 @@ def behaviour_cloned(
         proposal={"acting": False, "bootstrap": False},
         critic={"hidden": [8], "num_critics": 1},  # not trained offline
         loss={"target_entropy": None},  # nor is the temperature
+        sampler={"own_sources": []},
     )
     identity = [
         demos.content_hash,

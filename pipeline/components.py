@@ -214,7 +214,7 @@ def make_loss(
         q_filter=loss.q_filter,
         tau=loss.tau,
         proposal=proposal,
-        further=[*loss.self_imitation.terms(loss), *own_terms(loss.own_terms)],
+        further=[*loss.self_imitation.terms(loss), *own_terms(loss.own_terms, updates)],
     )
 
 

@@ -76,9 +76,17 @@ class Learner:
 
 
 def make_learner(
-    recipe: Recipe, task: Task, env: EnvBase, demos: Demonstrations | None, time_use: TimeUse
+    recipe: Recipe,
+    task: Task,
+    env: EnvBase,
+    demos: Demonstrations | None,
+    main_rows: int,
+    time_use: TimeUse,
 ) -> Learner:
-    """The learner for the spaces of ``env``; with ``pretrain`` it begins as the BC model."""
+    """The learner for the spaces of ``env``; with ``pretrain`` it begins as the BC model.
+
+    Its batches have ``main_rows`` rows before those that are demonstrations.
+    """
     dtype, chunk = hidden_dtype(recipe), recipe.actor.chunk
     normalizer = components.make_normalizer(recipe.actor, demos)
     actor = components.make_policy(recipe.actor, env, normalizer, recipe.device, dtype)
@@ -92,7 +100,7 @@ def make_learner(
         critic,
         chunk * env.action_spec.shape[-1],
         actor_updates(recipe),
-        main_rows=recipe.sampler.batch_size or None,  # of no rows, the mixture says what is wrong
+        main_rows=main_rows,
         bc_emphasis=components.make_emphasis(recipe),
         proposal=proposal if recipe.proposal.bootstrap else None,
     )

@@ -17,7 +17,7 @@ from pipeline.act.chosen_starts import BEGUN_AT, ChosenStartsEnv
 from pipeline.act.portion_collector import PortionCollector, PortionCut
 from pipeline.data.curriculum import CurriculumEpisodes, ReverseCurriculum
 from pipeline.data.demonstrations import Demonstrations
-from pipeline.data.mixture import Mixture
+from pipeline.data.mixture import BatchPart, Mixture
 from pipeline.files.checkpoint import CollectorState, make_checkpoint, resumes_midway
 from pipeline.files.simulator_steps import ExtraSimulatorSteps
 from pipeline.files.time_use import TimeUse
@@ -33,7 +33,13 @@ from pipeline.judgement import check_clone
 from pipeline.learner import Learner, make_learner
 from pipeline.machine.interruption import StopRequest
 from pipeline.recipe import Recipe
-from pipeline.sources import Sources, make_sources
+from pipeline.sources import (
+    Sources,
+    make_main,
+    make_own_sources,
+    make_sources,
+    reinforced_rows,
+)
 from pipeline.trainer import Run, make_evaluation_hook, make_trainer
 from pipeline.updates import updates_per_portion
 from pipeline.watch.diagnostics import DemonstrationProbe, TrainingState
@@ -48,8 +54,10 @@ def build_online(
     require_growth(recipe)
     with counted_steps() as replayed:
         env, curricula = _environment(recipe, task, demos)
-    learner = make_learner(recipe, task, env, demos, time_use)
-    sources = make_sources(recipe, task, demos, time_use)
+    main = make_main(recipe, demos)
+    own = make_own_sources(recipe, main, demos)
+    learner = make_learner(recipe, task, env, demos, reinforced_rows(recipe, own), time_use)
+    sources = make_sources(recipe, task, demos, main, own, time_use)
     demonstrated = 0 if demos is None else demos.simulator_steps
     beside = ExtraSimulatorSteps(demonstrated + replayed.taken, sources.simulator_steps)
     beside.write(run_dir)
@@ -154,13 +162,16 @@ def _register(
     store = StoreHook(sources.main, sources.to_rows, resumes_midway=midway, device=device)
     time_use.watch(store, "store", "store")
     store.register(trainer)
+    for name, own in sources.own.items():
+        if own.keeps_state:
+            trainer.register_module(name, own.source)
     mixture = sources.mixture
     optimisation = UpdatesHook(mixture, time_use.timed(mixture, "sample"), stop)
     optimisation.register(trainer)
     trainer.register_op("post_optim_complete_log", stepper.log_metrics)
     period, rows = recipe.sampler.demo_update_period, recipe.sampler.batch_size
     if period:
-        drawn = Mixture(None, sources.demos, main_rows=0, demo_rows=rows, device=device)
+        drawn = Mixture({"demos": BatchPart(sources.demos, rows, is_demo=True)}, device=device)
         DemoUpdateHook(stepper, drawn, period).register(trainer)
     return optimisation, [
         TrainingState(stepper),

@@ -31,12 +31,14 @@ from pipeline.data.admission import GrowthSettings
 from pipeline.data.curriculum import CurriculumSettings
 from pipeline.data.demonstrations import DemosSettings
 from pipeline.data.mixture import SamplerSettings
+from pipeline.data.own_sources import SOURCES
 from pipeline.hooks.backtrack import BacktrackSettings
 from pipeline.learn.imitation import CloningSettings
 from pipeline.learn.networks import ActorSettings, CriticSettings
 from pipeline.learn.objective import LossSettings
 from pipeline.learn.optimizers import OptimSettings
-from pipeline.learn.own_terms import KEY as OWN_TERMS
+from pipeline.learn.own_terms import TERMS
+from pipeline.own_parts import Entry, OwnParts
 from pipeline.settings import STRICT, Count, NotNegative, Seed, checked, plain
 from pipeline.watch.loggers import LoggingSettings
 
@@ -178,15 +180,21 @@ class Recipe:
             or self.critic.normalise_observations
         )
 
+    @property
+    def own_parts(self) -> list[tuple[OwnParts, tuple[Entry, ...]]]:
+        """What stands in a user's own files for training alone, where there is any."""
+        every = [(TERMS, self.loss.own_terms), (SOURCES, self.sampler.own_sources)]
+        return [(kind, entries) for kind, entries in every if entries]
+
     def imports(self, *, training: bool) -> dict[str, str]:
         """What of somebody's code a run imports, by the key that asks for it.
 
         Args:
-            training: Whether it is trained; its objective is made for that alone.
+            training: Whether it is trained; its objective and batches are made for that alone.
         """
         asked = imports_of(self.task.name, self.task.options)
-        if training and self.loss.own_terms:
-            asked[OWN_TERMS] = ", ".join(self.loss.own_terms)
+        for kind, entries in self.own_parts if training else ():
+            asked[kind.key] = ", ".join(kind.where(entry) for entry in entries)
         return asked
 
     @classmethod

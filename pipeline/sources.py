@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import TensorDictReplayBuffer
 
@@ -12,7 +14,8 @@ from envs.steps import counted_steps
 from pipeline import components
 from pipeline.data.buffers import DemonstrationDistribution, GrownDemonstrations, make_buffer
 from pipeline.data.demonstrations import Demonstrations
-from pipeline.data.mixture import DRAWS, Mixture
+from pipeline.data.mixture import DRAWS, BatchPart, Mixture
+from pipeline.data.own_sources import OwnSource, SourceContext, own_sources
 from pipeline.data.rows import ROW_KEYS, TransitionRows
 from pipeline.files.time_use import TimeUse
 from pipeline.growth import demonstration_distribution
@@ -36,7 +39,8 @@ class Sources:
         main: of the run's own experience.
         grown: the part of D that grows; None where nothing may join it.
         demos: D; None without demonstrations.
-        mixture: draws the batches of both.
+        own: those of the user's own files, by name.
+        mixture: draws the batches of all.
         to_rows: how experience becomes rows.
         episode_rows: how whole episodes do.
         simulator_steps: that filling them has taken.
@@ -45,39 +49,76 @@ class Sources:
     main: TensorDictReplayBuffer
     grown: GrownDemonstrations | None
     demos: DemonstrationDistribution | None
+    own: Mapping[str, OwnSource]
     mixture: Mixture
     to_rows: TransitionRows
     episode_rows: TransitionRows
     simulator_steps: int
 
 
-def make_sources(
-    recipe: Recipe, task: Task, demos: Demonstrations | None, time_use: TimeUse
-) -> Sources:
-    """The buffers; what is preloaded is in them, and with ILD a BC model's episodes.
+def make_main(recipe: Recipe, demos: Demonstrations | None) -> TensorDictReplayBuffer:
+    """The buffer of the run's own experience; what is preloaded is in it.
 
     Raises:
-        ValueError: If a size or a share in the configuration cannot be.
+        ValueError: If a size in the configuration cannot be.
     """
-    to_rows = components.make_rows(recipe)
-    episode_rows = components.make_episode_rows(recipe)
     preloaded = _preloaded(recipe, demos)
     main = make_buffer(_capacity(recipe) + len(preloaded), recipe.device)
     if len(preloaded):
         main.extend(preloaded)
+    return main
+
+
+def make_own_sources(
+    recipe: Recipe, main: TensorDictReplayBuffer, demos: Demonstrations | None
+) -> dict[str, OwnSource]:
+    """The sources of the user's own files; usually none.
+
+    Raises:
+        ValueError: If one cannot be made.
+    """
+    keys = components.make_rows(recipe).keys
+    context = SourceContext(main, demos, keys, torch.device(recipe.device))
+    return own_sources(recipe.sampler.own_sources, context)
+
+
+def reinforced_rows(recipe: Recipe, own: Mapping[str, OwnSource]) -> int:
+    """Rows of a batch that are no demonstrations, which come first in it."""
+    return recipe.sampler.batch_size + sum(one.rows for one in own.values() if not one.is_demo)
+
+
+def make_sources(
+    recipe: Recipe,
+    task: Task,
+    demos: Demonstrations | None,
+    main: TensorDictReplayBuffer,
+    own: Mapping[str, OwnSource],
+    time_use: TimeUse,
+) -> Sources:
+    """The buffers and their mixture; with ILD, a BC model's episodes are in D.
+
+    A batch has rows of ``main``, of sources of one's own that are no demonstrations, of D, and of
+    sources of one's own that are.
+
+    Raises:
+        ValueError: If a share in the configuration cannot be.
+    """
+    to_rows = components.make_rows(recipe)
+    episode_rows = components.make_episode_rows(recipe)
     with counted_steps() as rolled_out:
         grown, distribution = demonstration_distribution(
             recipe, task, demos, episode_rows, time_use
         )
     mixture = Mixture(
-        main,
-        distribution,
-        main_rows=recipe.sampler.batch_size,
-        demo_rows=_demo_rows(recipe),
+        {
+            "main": BatchPart(main, recipe.sampler.batch_size),
+            "demos": BatchPart(distribution, _demo_rows(recipe), is_demo=True),
+            **{name: BatchPart(one, one.rows, one.is_demo) for name, one in own.items()},
+        },
         draws=min(updates_per_portion(recipe), DRAWS),
         device=recipe.device,
     )
-    return Sources(main, grown, distribution, mixture, to_rows, episode_rows, rolled_out.taken)
+    return Sources(main, grown, distribution, own, mixture, to_rows, episode_rows, rolled_out.taken)
 
 
 def _preloaded(recipe: Recipe, demos: Demonstrations | None) -> TensorDictBase:

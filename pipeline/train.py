@@ -17,8 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from configs import prepare, recipe_of, require_known
 from envs.task import TaskFailedError
 from pipeline.build import build_run
-from pipeline.learn.own_terms import KEY as OWN_TERMS
-from pipeline.literals import typed
+from pipeline.literals import typed, word
 from pipeline.machine.disk import training_stopped_by
 from pipeline.machine.interruption import Interrupted, Interruption, interruption
 from pipeline.machine.memory import told_memory
@@ -100,8 +99,7 @@ def _train(config: DictConfig, signals: Interruption) -> None:
         run.train()
     except Interrupted:
         counted = f"{run.trainer.collected_frames} {recipe.budget.unit}"
-        terms = recipe.loss.own_terms
-        named = [f"{OWN_TERMS}={typed(terms)}"] if terms else []
+        named = [word(f"{kind.key}={typed(entries)}") for kind, entries in recipe.own_parts]
         further = again.command("train", "", again.task_of(run_dir), named, RESUME=run_dir)
         print(f"stopped at {counted}; go on with: {further}", file=sys.stderr)
         raise

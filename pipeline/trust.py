@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 
 from pipeline.files.run_files import TRUST, RunDirectoryError
-from pipeline.literals import TASK_KEY, typed
+from pipeline.literals import TASK_KEY, typed, word
 from pipeline.recipe import Recipe
 from pipeline.settings import plain
 
@@ -32,8 +33,15 @@ def require_trusted(
     for key, what in imports.items():
         if not any(override.startswith(f"{key}=") for override in overrides):
             value = plain(attrgetter(key)(recipe))
-            again = f"TASK={value}" if key == TASK_KEY else f'ARGS="{key}={typed(value)}"'
+            again = f"TASK={value}" if key == TASK_KEY else _arguments(f"{key}={typed(value)}")
             raise RunDirectoryError(
                 f"{where} asks to import {what!r} ({key}={typed(value)}), which runs its code. If "
                 f"you trust it, set {TRUST}=1, or name it yourself: {again}"
             )
+
+
+def _arguments(override: str) -> str:
+    """``ARGS=...`` of make, which hands its words to a shell."""
+    told = word(override)
+    # Within double quotes there can be none.
+    return f"ARGS={shlex.quote(told)}" if '"' in told else f'ARGS="{told}"'

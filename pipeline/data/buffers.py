@@ -40,6 +40,17 @@ def make_buffer(capacity: int, device: torch.device | str = "cpu") -> TensorDict
     return TensorDictReplayBuffer(storage=RowStorage(capacity, device=device))
 
 
+def newest(buffer: TensorDictReplayBuffer, count: int) -> Tensor:
+    """Positions of the ``count`` newest rows of a ring, or of all if there are fewer; newest first.
+
+    Args:
+        buffer: Of :func:`make_buffer`; ``buffer[positions]`` are the rows.
+        count: Not negative.
+    """
+    rows = len(buffer)
+    return (buffer.writer._cursor - 1 - torch.arange(min(count, rows))) % max(rows, 1)
+
+
 def make_core_buffer(
     rows: TensorDictBase, device: torch.device | str = "cpu"
 ) -> TensorDictReplayBuffer:

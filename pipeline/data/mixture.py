@@ -1,16 +1,17 @@
-"""Exact-count mixture of the main buffer and the demonstration distribution D."""
+"""Exact-count mixture of sources: the main buffer, D, and those of a user."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Protocol, runtime_checkable
 
 import torch
 from pydantic import Field
 from pydantic.dataclasses import dataclass as settings
 from tensordict import TensorDictBase
-from torchrl.data import TensorDictReplayBuffer
 
-from pipeline.data.buffers import DemonstrationDistribution
+from pipeline.data.own_sources import OwnSourceEntry
 from pipeline.data.rows import joined
 from pipeline.settings import STRICT, Count, NotNegative, Rate
 
@@ -29,19 +30,57 @@ class SamplerSettings:
     demo_ratio: Ratio = 0.0  # rows from the demonstration distribution D per row of batch_size
     preload: bool = False  # the demonstrations lie in the replay buffer from the start (DDPGfD)
     demo_update_period: NotNegative = 0  # f of Algorithm 1: an extra update on D every f; 0 = never
+    # Sources of your own beside these: path.py:NAME, or {source: path.py:NAME, rows: 64, ...}
+    own_sources: tuple[OwnSourceEntry, ...] = ()
+
+
+class RowSource(Protocol):
+    """What rows are drawn from: a replay buffer, D, or a source of a user."""
+
+    def sample(self, count: int, /) -> TensorDictBase:
+        """Rows ``[count]``, drawn with replacement."""
+
+
+@runtime_checkable
+class BatchSource(RowSource, Protocol):
+    """A source that decides anew for each batch how many rows it takes from where."""
+
+    def sample_batches(self, batches: int, count: int, /) -> TensorDictBase:
+        """Rows ``[batches, count]``."""
+
+
+@dataclass(frozen=True)
+class BatchPart:
+    """What a batch has of one source.
+
+    Attributes:
+        source: Of the rows; None where there is none, for 0 rows.
+        rows: Of each batch.
+        is_demo: Whether they count as demonstrations.
+    """
+
+    source: RowSource | None
+    rows: int
+    is_demo: bool = False
+
+    def drawn(self, batches: int) -> TensorDictBase:
+        """Rows ``[batches, rows]``."""
+        if isinstance(self.source, BatchSource):
+            return self.source.sample_batches(batches, self.rows)
+        assert self.source is not None
+        return self.source.sample(batches * self.rows).reshape(batches, self.rows)
 
 
 class Mixture:
-    """Draws batches with a fixed number of rows from each source and marks D's rows ``is_demo``.
+    """Draws batches with a fixed number of rows from each source and marks ``is_demo``.
 
     TorchRL's ``ReplayBufferEnsemble`` picks a *buffer* for each equal sub-batch, so a row split
-    other than 1:1 holds only on average; here it holds in every batch, main rows first.
+    other than 1:1 holds only on average; here it holds in every batch. Rows that count as
+    demonstrations come last, as the losses expect; otherwise the order is that of ``parts``, and
+    so is the order in which the sources draw.
 
     Args:
-        main: Replay buffer of collected experience, or None for training on D alone.
-        demos: The distribution D, or None for plain reinforcement learning.
-        main_rows: Rows of a batch drawn from ``main``.
-        demo_rows: Rows of a batch drawn from ``demos``.
+        parts: By the name of their source.
         draws: Batches drawn at a time, at least 1. Rows are drawn with replacement, so K batches
             drawn together are K batches drawn one by one, at a fraction of the calls; they must
             all be used before the sources change, or be thrown away with :meth:`renew`.
@@ -54,40 +93,36 @@ class Mixture:
 
     def __init__(
         self,
-        main: TensorDictReplayBuffer | None,
-        demos: DemonstrationDistribution | None,
+        parts: Mapping[str, BatchPart],
         *,
-        main_rows: int,
-        demo_rows: int,
         draws: int = 1,
         device: torch.device | str = "cpu",
     ) -> None:
         if draws < 1:
             raise ValueError(f"draws must be at least 1, got {draws}.")
-        for name, rows, source in (("main", main_rows, main), ("demo", demo_rows, demos)):
-            if rows < 0:
-                raise ValueError(f"{name}_rows must not be negative, got {rows}.")
-            if rows > 0 and source is None:
+        for name, part in parts.items():
+            if part.rows < 0:
+                raise ValueError(f"rows of {name} must not be negative, got {part.rows}.")
+            if part.rows > 0 and part.source is None:
                 raise ValueError(
-                    f"{rows} {name} rows are asked for but there is no such buffer; "
-                    "give the source or ask for 0 rows (sampler.demo_ratio=0)."
+                    f"{part.rows} rows of {name} are asked for but there is no such source; "
+                    "give the source or ask for 0 rows (of demos: sampler.demo_ratio=0)."
                 )
-        if main_rows + demo_rows == 0:
+        if not any(part.rows for part in parts.values()):
             raise ValueError("A batch needs rows, but 0 are asked of every source.")
-        self.main = main
-        self.demos = demos
-        self.main_rows = main_rows
-        self.demo_rows = demo_rows
+        self.parts = sorted(
+            (part for part in parts.values() if part.rows), key=lambda part: part.is_demo
+        )
         self.draws = draws
         self.device = torch.device(device)
-        is_demo = torch.zeros(main_rows + demo_rows, 1, dtype=torch.bool, device=self.device)
-        is_demo[main_rows:] = True
+        marks = [part.is_demo for part in self.parts for _ in range(part.rows)]
+        is_demo = torch.tensor(marks, device=self.device).unsqueeze(-1)
         self.is_demo = is_demo.repeat(draws, 1, 1)
         self._ready: list[TensorDictBase] = []
         self._collected: TensorDictBase | None = None
 
     def sample(self) -> TensorDictBase:
-        """One batch ``[main_rows + demo_rows]`` with ``is_demo`` [B, 1]."""
+        """One batch ``[B]`` of all parts with ``is_demo`` [B, 1]."""
         if not self._ready:
             self._ready = list(self._draw().unbind(0))
         return self._ready.pop()
@@ -122,13 +157,7 @@ class Mixture:
         return self.sample()
 
     def _draw(self) -> TensorDictBase:
-        """Batches ``[draws, main_rows + demo_rows]``, the main rows first in each."""
-        parts = []
-        if self.main is not None and self.main_rows:
-            rows = self.main.sample(self.draws * self.main_rows)
-            parts.append(rows.reshape(self.draws, self.main_rows))
-        if self.demos is not None and self.demo_rows:
-            parts.append(self.demos.sample_batches(self.draws, self.demo_rows))
-        drawn = joined(parts, dim=1).to(self.device)
+        """Batches ``[draws, B]``, demonstrations last in each."""
+        drawn = joined([part.drawn(self.draws) for part in self.parts], dim=1).to(self.device)
         drawn.set("is_demo", self.is_demo.clone())
         return drawn

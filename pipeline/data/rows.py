@@ -29,6 +29,8 @@ FILLED: Final[Mapping[str, Callable[[TensorDictBase], Any]]] = {
     IMITATED_ACTION: lambda rows: rows["action"],
     # Where something learns from whole episodes.
     TO_END: unknown_way,
+    # Where a buffer gave them, which tells their place in it; rows of one's own may have none.
+    "index": lambda rows: rows["action"].new_full(rows.shape, -1, dtype=torch.int64),
 }
 """What only some rows have, and what it is for the others beside them."""
 

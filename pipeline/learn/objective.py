@@ -8,49 +8,12 @@ from typing import Any, Literal
 from pydantic import field_validator
 from pydantic.dataclasses import dataclass as settings
 
-from losses import Schedule, SelfImitation, make_schedule
+from losses import SelfImitation
 from losses.imitation import ErrorName
-from losses.schedules import schedule_kind
 from losses.terms import Term
-from pipeline.settings import STRICT, Count, Positive, Rate, Share, plain
-
-LASTING = ("linear", "cosine")
-"""Schedules that take the whole run unless they have a duration of their own."""
-
-
-@settings(frozen=True, kw_only=True, config=STRICT)
-class WeightSettings:
-    """Weight of the imitation term as a function of the number n of updates (III-C, III-D).
-
-    One class with the keys of all kinds, not one class for each: Hydra accepts the keys of the
-    defaults only, and saved runs hold every key, with null for those of other kinds.
-    """
-
-    kind: Literal["constant", "exponential", "linear", "cosine", "piecewise"] = "constant"
-    init: Rate | None = 0.0  # lambda, or lambda_0; None for piecewise
-    decay: Share | None = None  # exponential: alpha in lambda_0 * alpha**n
-    final: Rate | None = None  # linear, cosine: value after `duration`
-    duration: Count | None = None  # linear, cosine: updates; None = all of the run's
-    milestones: tuple[Count, ...] | None = None  # piecewise: updates
-    values: tuple[Rate, ...] | None = None  # piecewise: one more than milestones
-
-    @classmethod
-    def of(cls, schedule: Schedule | float) -> WeightSettings:
-        """The settings of a schedule of `losses.schedules`, or of a constant.
-
-        Raises:
-            ValueError: It is another callable, which a run directory could not hold.
-        """
-        if isinstance(schedule, int | float):
-            return cls(init=float(schedule))
-        return cls(**({"init": None} | vars(schedule) | {"kind": schedule_kind(schedule)}))
-
-    def schedule(self, updates: int) -> Schedule:
-        """The schedule; one that lasts moves over ``updates`` unless it has a duration."""
-        options = {key: value for key, value in plain(self).items() if value is not None}
-        if self.kind in LASTING:
-            options.setdefault("duration", max(updates, 1))
-        return make_schedule(**options)
+from pipeline.learn.own_terms import OwnTerm
+from pipeline.learn.weights import WeightSettings
+from pipeline.settings import STRICT, Count, Positive, Rate, Share
 
 
 @settings(frozen=True, kw_only=True, config=STRICT)
@@ -114,8 +77,8 @@ class LossSettings:
     bc_weight: WeightSettings = field(default_factory=WeightSettings)
     bc_emphasis: EmphasisSettings = field(default_factory=EmphasisSettings)
     self_imitation: SelfImitationSettings = field(default_factory=SelfImitationSettings)
-    # Terms of your own beside these: path.py:NAME, ... (pipeline/learn/own_terms.py)
-    own_terms: tuple[str, ...] = ()
+    # Terms of your own beside these: path.py:NAME, or {term: path.py:NAME, weight: 0.1, ...}
+    own_terms: tuple[OwnTerm, ...] = ()
     bc_decay: Share = 0.999  # alpha that the DBC variants give to bc_weight (paper IV-C.4)
     bc_gradient_ratio: Rate | None = None  # if set: bc_weight(n) * ratio * |g_RL| / |g_BC|
 

@@ -15,6 +15,7 @@ from envs.door.definition import TASK
 from losses import LinearWeight
 from pipeline.learn.critics import BatchedCritics
 from pipeline.learn.networks import make_actor
+from pipeline.learn.own_terms import own_terms
 from pipeline.recipe import Recipe
 from pipeline.trainer import Run
 from tests.pipeline.toys import ACTION_SIZE, OBSERVATION_SIZE, make_batch, write_demos
@@ -29,9 +30,12 @@ def snippet(name: str) -> str:
     return dict(SNIPPET.findall(TUTORIAL.read_text()))[name]
 
 
+def variant(name: str) -> str:
+    return dict(FILE.findall(TUTORIAL.read_text()))[name]
+
+
 def test_the_yaml_and_the_python_make_the_same_method():
-    ((_, text),) = FILE.findall(TUTORIAL.read_text())
-    given = yaml.safe_load(text)
+    given = yaml.safe_load(variant("filtered"))
     assert given["defaults"] == ["bc_sac", "_self_"]
     changes = {key: value for key, value in given.items() if key != "defaults"}
     of_yaml = compose("variant=bc_sac", "preset=smoke").changed(**changes)
@@ -67,6 +71,22 @@ def test_the_term_of_the_page_is_part_of_the_objective():
     action = names["actor"](names["batch"].select("observation"))
     assert action["action"].shape == (8, ACTION_SIZE)
     assert float(names["losses"]["centre"]) >= 0.0
+
+
+def test_the_term_of_the_page_has_the_settings_of_the_yaml(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Its class alone, as a user's file would hold it."""
+    (tmp_path / "my_terms.py").write_text(snippet("term").split("terms = [")[0])
+    monkeypatch.chdir(tmp_path)
+    given = yaml.safe_load(variant("centred"))
+    loss = compose("variant=bc_sac").changed(loss=given["loss"]).loss
+    (term,) = own_terms(loss.own_terms, updates=10)
+    assert term.at == 0.2
+    assert [term.weight_at(n) for n in (0, 5, 10)] == pytest.approx([0.1, 0.05, 0.0])
+    (typed,) = re.findall(r"'(loss\.own_terms=.*)'\"", TUTORIAL.read_text())
+    (term,) = own_terms(compose("variant=bc_sac", typed).loss.own_terms, updates=10)
+    assert (term.at, term.weight_at(0)) == (0.2, 0.1)
 
 
 def test_the_python_of_the_page_names_a_task_and_demonstrations_of_ones_own(

@@ -20,7 +20,7 @@ from torchrl.objectives import SACLoss, SoftUpdate
 
 from losses import BCSACLoss
 from pipeline.data.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
-from pipeline.data.mixture import Mixture
+from pipeline.data.mixture import BatchPart, Mixture
 from pipeline.learn.critics import BatchedCritics, EnsembleLayerNorm, EnsembleLinear
 from pipeline.learn.networks import make_actor
 from pipeline.learn.stepper import BCSACStepper, UpdateSchedule
@@ -167,7 +167,11 @@ def make_mixture() -> Mixture:
     main = make_buffer(64)
     main.extend(transitions(64))
     demos = DemonstrationDistribution(make_core_buffer(transitions(16)))
-    return Mixture(main, demos, main_rows=MAIN_ROWS, demo_rows=DEMO_ROWS, draws=16)
+    parts = {
+        "main": BatchPart(main, MAIN_ROWS),
+        "demos": BatchPart(demos, DEMO_ROWS, is_demo=True),
+    }
+    return Mixture(parts, draws=16)
 
 
 @pytest.mark.parametrize("layer_norm", [False, True])

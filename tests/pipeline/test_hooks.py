@@ -16,7 +16,7 @@ import torch
 from configs import compose
 from pipeline.act.metrics import Rollouts, summarise
 from pipeline.data.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
-from pipeline.data.mixture import Mixture
+from pipeline.data.mixture import BatchPart, Mixture
 from pipeline.data.rows import TransitionRows
 from pipeline.hooks import (
     ActorAverageHook,
@@ -68,7 +68,7 @@ def test_every_fth_update_is_followed_by_one_on_the_demonstrations(
     updates = []
     stepper = SimpleNamespace(step=lambda _trainer, batch: updates.append(batch))
     core = DemonstrationDistribution(make_core_buffer(tagged_rows(7.0, 3)))
-    hook = DemoUpdateHook(stepper, Mixture(None, core, main_rows=0, demo_rows=4), period)
+    hook = DemoUpdateHook(stepper, Mixture({"demos": BatchPart(core, 4, is_demo=True)}), period)
     hook.register(trainer)
     assert trainer.ops == {"post_optim": [hook]}
     made = []

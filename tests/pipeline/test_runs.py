@@ -28,7 +28,8 @@ from pipeline.files.run_files import (
     write_atomically,
 )
 from pipeline.learn.networks import ActorSettings, CriticSettings
-from pipeline.learn.objective import LossSettings, WeightSettings
+from pipeline.learn.objective import LossSettings
+from pipeline.learn.weights import WeightSettings
 from pipeline.policy import load_policy
 from pipeline.recipe import EnvSettings, Recipe
 from pipeline.run_dir import load_recipe

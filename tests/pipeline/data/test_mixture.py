@@ -9,6 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tensordict import TensorDict, TensorDictBase
+from torchrl.data import TensorDictReplayBuffer
 
 from pipeline.data.buffers import (
     DemonstrationDistribution,
@@ -17,7 +18,7 @@ from pipeline.data.buffers import (
     make_buffer,
     make_core_buffer,
 )
-from pipeline.data.mixture import Mixture
+from pipeline.data.mixture import BatchPart, Mixture
 from tests.pipeline.toys import tagged_rows
 
 MAIN, CORE, GROWN = 1.0, 2.0, 3.0
@@ -34,13 +35,28 @@ def sources(grown_rows: int = 0) -> tuple:
     return main, DemonstrationDistribution(make_core_buffer(tagged_rows(CORE, 5)), grown)
 
 
+def mixed(
+    main: TensorDictReplayBuffer | None,
+    demos: DemonstrationDistribution | None,
+    *,
+    main_rows: int,
+    demo_rows: int,
+    **options: int,
+) -> Mixture:
+    parts = {
+        "main": BatchPart(main, main_rows),
+        "demos": BatchPart(demos, demo_rows, is_demo=True),
+    }
+    return Mixture(parts, **options)
+
+
 @settings(max_examples=40)
 @given(main_rows=st.integers(0, 20), demo_rows=st.integers(0, 20), grown_rows=st.integers(0, 30))
 def test_counts_are_exact_and_marks_are_true(main_rows: int, demo_rows: int, grown_rows: int):
     if main_rows + demo_rows == 0:
         return
     main, demos = sources(grown_rows)
-    batch = Mixture(main, demos, main_rows=main_rows, demo_rows=demo_rows).sample()
+    batch = mixed(main, demos, main_rows=main_rows, demo_rows=demo_rows).sample()
     assert batch.batch_size == (main_rows + demo_rows,)
     from_demos = batch["observation"][:, 0] != MAIN
     assert int(from_demos.sum()) == demo_rows
@@ -53,7 +69,7 @@ def test_counts_are_exact_and_marks_are_true(main_rows: int, demo_rows: int, gro
 
 def test_the_marks_of_one_batch_are_not_those_of_the_next():
     main, demos = sources()
-    mixture = Mixture(main, demos, main_rows=2, demo_rows=2)
+    mixture = mixed(main, demos, main_rows=2, demo_rows=2)
     mixture.sample()["is_demo"].fill_(False)
     assert mixture.sample()["is_demo"].sum() == 2
 
@@ -66,7 +82,7 @@ def test_experience_is_imitated_as_it_was_executed():
     grown = GrownDemonstrations(capacity=100)
     grown.add(tagged_rows(GROWN, 5), EpisodeRecord("policy", 5, 0.0, True, 0.0, 0))
     demos = DemonstrationDistribution(make_core_buffer(rows), grown)
-    batch = Mixture(main, demos, main_rows=6, demo_rows=40).sample()
+    batch = mixed(main, demos, main_rows=6, demo_rows=40).sample()
     core = batch["observation"][:, 0] == CORE
     assert 0 < core.sum() < 40
     assert (batch["action"] == 0).all()
@@ -77,38 +93,38 @@ def test_experience_is_imitated_as_it_was_executed():
 
 def test_as_a_hook_it_replaces_the_collected_batch():
     main, demos = sources()
-    mixture = Mixture(main, demos, main_rows=3, demo_rows=1)
+    mixture = mixed(main, demos, main_rows=3, demo_rows=1)
     assert mixture(tagged_rows(99.0, 7)).batch_size == (4,)
 
 
 def test_a_source_that_is_not_asked_may_be_empty_or_missing():
     _, demos = sources()
-    batch = Mixture(make_buffer(5), demos, main_rows=0, demo_rows=3).sample()
+    batch = mixed(make_buffer(5), demos, main_rows=0, demo_rows=3).sample()
     assert batch["is_demo"].all()
     main, _ = sources()
-    batch = Mixture(main, None, main_rows=3, demo_rows=0).sample()
+    batch = mixed(main, None, main_rows=3, demo_rows=0).sample()
     assert not batch["is_demo"].any()
 
 
 @pytest.mark.parametrize(
     ("main_rows", "demo_rows", "message"),
     [
-        (-1, 4, "main_rows must not be negative, got -1"),
-        (4, -1, "demo_rows must not be negative, got -1"),
+        (-1, 4, "rows of main must not be negative, got -1"),
+        (4, -1, "rows of demos must not be negative, got -1"),
         (0, 0, "needs rows, but 0 are asked"),
     ],
 )
 def test_senseless_counts_are_named(main_rows: int, demo_rows: int, message: str):
     with pytest.raises(ValueError, match=message):
-        Mixture(*sources(), main_rows=main_rows, demo_rows=demo_rows)
+        mixed(*sources(), main_rows=main_rows, demo_rows=demo_rows)
 
 
 def test_rows_of_a_missing_source_are_named_with_the_remedy():
     main, demos = sources()
-    with pytest.raises(ValueError, match=r"4 demo rows are asked .* \(sampler\.demo_ratio=0\)"):
-        Mixture(main, None, main_rows=4, demo_rows=4)
-    with pytest.raises(ValueError, match="4 main rows are asked"):
-        Mixture(None, demos, main_rows=4, demo_rows=4)
+    with pytest.raises(ValueError, match=r"4 rows of demos are asked .*sampler\.demo_ratio=0"):
+        mixed(main, None, main_rows=4, demo_rows=4)
+    with pytest.raises(ValueError, match="4 rows of main are asked"):
+        mixed(None, demos, main_rows=4, demo_rows=4)
 
 
 # --------------------------------------------------------------------- batches drawn together
@@ -136,7 +152,7 @@ def test_each_of_the_batches_drawn_together_is_exact(
     if main_rows + demo_rows == 0:
         return
     main, demos = sources(grown_rows)
-    mixture = Mixture(main, demos, main_rows=main_rows, demo_rows=demo_rows, draws=draws)
+    mixture = mixed(main, demos, main_rows=main_rows, demo_rows=demo_rows, draws=draws)
     for _ in range(2 * draws + 1):
         batch = mixture.sample()
         assert batch.batch_size == (main_rows + demo_rows,)
@@ -151,7 +167,7 @@ def test_the_sources_are_asked_once_for_all_batches_of_a_draw(monkeypatch: pytes
     asked = []
     sample = main.sample
     monkeypatch.setattr(main, "sample", lambda rows: asked.append(rows) or sample(rows))
-    mixture = Mixture(main, demos, main_rows=3, demo_rows=1, draws=4)
+    mixture = mixed(main, demos, main_rows=3, demo_rows=1, draws=4)
     for _ in range(4):
         mixture.sample()
     assert asked == [12]
@@ -161,7 +177,7 @@ def test_the_sources_are_asked_once_for_all_batches_of_a_draw(monkeypatch: pytes
 
 def test_batches_drawn_together_do_not_share_their_entries():
     main, demos = sources()
-    mixture = Mixture(main, demos, main_rows=2, demo_rows=2, draws=3)
+    mixture = mixed(main, demos, main_rows=2, demo_rows=2, draws=3)
     first = mixture.sample()
     first["observation"].fill_(99.0)
     first["is_demo"].fill_(True)
@@ -175,7 +191,7 @@ def changing(draws: int) -> tuple[Mixture, Callable[[float], object]]:
     """A mixture over one row, and what replaces that row by another."""
     main = make_buffer(1)
     main.extend(tagged_rows(1.0, 1))
-    mixture = Mixture(main, None, main_rows=2, demo_rows=0, draws=draws)
+    mixture = mixed(main, None, main_rows=2, demo_rows=0, draws=draws)
     return mixture, lambda tag: main.extend(tagged_rows(tag, 1))
 
 
@@ -209,7 +225,7 @@ def test_single_draws_always_see_the_sources_as_they_are():
 @pytest.mark.parametrize("draws", [0, -2])
 def test_too_few_draws_are_named(draws: int):
     with pytest.raises(ValueError, match=rf"draws must be at least 1, got {draws}\."):
-        Mixture(*sources(), main_rows=1, demo_rows=1, draws=draws)
+        mixed(*sources(), main_rows=1, demo_rows=1, draws=draws)
 
 
 def test_rows_are_drawn_uniformly_whatever_batch_and_place_they_come_to():
@@ -217,7 +233,7 @@ def test_rows_are_drawn_uniformly_whatever_batch_and_place_they_come_to():
     main = make_buffer(20)
     main.extend(numbered(range(8)))
     demos = DemonstrationDistribution(make_core_buffer(numbered(range(8, 12))))
-    mixture = Mixture(main, demos, main_rows=3, demo_rows=2, draws=16)
+    mixture = mixed(main, demos, main_rows=3, demo_rows=2, draws=16)
     batches = [mixture.sample() for _ in range(4000)]
     tags = torch.stack([batch["observation"][:, 0] for batch in batches]).long()
     assert len({tuple(row) for row in tags[:16].tolist()}) == 16
@@ -237,8 +253,82 @@ def test_batches_of_a_draw_do_not_repeat_one_another():
     """Neighbouring batches agree in a row as often as chance has it: one in eight."""
     main = make_buffer(20)
     main.extend(numbered(range(8)))
-    mixture = Mixture(main, None, main_rows=4, demo_rows=0, draws=16)
+    mixture = mixed(main, None, main_rows=4, demo_rows=0, draws=16)
     tags = torch.stack([mixture.sample()["observation"][:, 0] for _ in range(2000)])
     agreeing = (tags[1:] == tags[:-1]).float().mean().item()
     # The standard error is sqrt(1/8 * 7/8 / 7996) < 0.004.
     assert agreeing == pytest.approx(1 / 8, abs=0.016)
+
+
+# --------------------------------------------------------------------------- further sources
+
+
+@pytest.mark.parametrize(
+    ("seed", "draws", "rows", "grown_rows", "share", "batches", "then"),
+    [
+        (0, 1, (4, 2), 0, None,
+         [[4, 39, 13, 0, 43, 59], [27, 23, 17, 3, 41, 46], [36, 39, 38, 16, 56, 48]], 868794),
+        (1, 3, (3, 2), 12, None,
+         [[11, 21, 39, 56, 60], [8, 23, 33, 49, 61], [5, 19, 4, 48, 71]], 103302),
+        (2, 2, (0, 5), 12, 0.5,
+         [[58, 59, 42, 63, 66], [47, 41, 44, 67, 68], [43, 59, 47, 64, 60]], 647973),
+        (3, 16, (2, 3), 20, 0.3,
+         [[10, 31, 52, 44, 69], [14, 10, 43, 50, 65], [17, 34, 52, 44, 69]], 79159),
+        (4, 2, (5, 0), 0, None,
+         [[16, 39, 16, 2, 1], [10, 14, 31, 13, 9], [7, 7, 33, 0, 12]], 424178),
+    ],
+)  # fmt: skip
+def test_main_and_demonstrations_are_drawn_as_when_there_were_no_others(
+    seed: int,
+    draws: int,
+    rows: tuple[int, int],
+    grown_rows: int,
+    share: float | None,
+    batches: list[list[int]],
+    then: int,
+):
+    """Rows, and the next random number, as the mixture of exactly these two drew them."""
+    main = make_buffer(50)
+    main.extend(numbered(range(40)))
+    grown = GrownDemonstrations(capacity=20)
+    if grown_rows:
+        record = EpisodeRecord("policy", grown_rows, 0.0, True, 0.0, 0)
+        grown.add(numbered(range(60, 60 + grown_rows)), record)
+    core = make_core_buffer(numbered(range(40, 60)))
+    demos = DemonstrationDistribution(core, grown if grown_rows else None, share)
+    torch.manual_seed(seed)
+    mixture = mixed(main, demos, main_rows=rows[0], demo_rows=rows[1], draws=draws)
+    assert [tags_of(mixture.sample()) for _ in range(3)] == batches
+    assert torch.randint(10**6, ()).item() == then
+
+
+class Counting:
+    """Rows ``first``, ``first + 1``, ..., without the places that a buffer's rows have."""
+
+    def __init__(self, first: int) -> None:
+        self.next = first
+
+    def sample(self, count: int) -> TensorDict:
+        found = numbered(range(self.next, self.next + count))
+        self.next += count
+        return found
+
+
+def test_demonstrations_come_last_and_each_batch_has_its_own_rows_of_every_source():
+    main, demos = sources()
+    parts = {
+        "first": BatchPart(Counting(100), 2, is_demo=True),
+        "main": BatchPart(main, 3),
+        "second": BatchPart(Counting(200), 2),
+        "demos": BatchPart(demos, 1, is_demo=True),
+        "third": BatchPart(Counting(300), 0, is_demo=True),
+    }
+    mixture = Mixture(parts, draws=2)
+    batches = [mixture.sample(), mixture.sample()]
+    assert sorted(map(tags_of, batches)) == [
+        [MAIN, MAIN, MAIN, 200.0, 201.0, 100.0, 101.0, CORE],
+        [MAIN, MAIN, MAIN, 202.0, 203.0, 102.0, 103.0, CORE],
+    ]
+    for batch in batches:
+        assert batch["is_demo"].squeeze(-1).tolist() == [False] * 5 + [True] * 3
+        assert (batch["index"] >= 0).tolist() == [True] * 3 + [False] * 4 + [True]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDict
 
-from pipeline.data.mixture import Mixture
+from pipeline.data.mixture import BatchPart, Mixture
 from pipeline.data.returns import TO_END, way_to_end
 from pipeline.data.rows import ROW_KEYS, TransitionRows, joined
 from tests.pipeline.toys import tagged_rows, trajectory
@@ -66,5 +66,5 @@ def test_batches_of_one_source_have_what_it_has():
         def sample(self, n: int) -> TensorDict:
             return tagged_rows(1.0, n)
 
-    batch = Mixture(Source(), None, main_rows=3, demo_rows=0).sample()
+    batch = Mixture({"main": BatchPart(Source(), 3)}).sample()
     assert set(batch.keys(True, True)) == {*ROW_KEYS, "is_demo"}
