@@ -16,6 +16,7 @@ from hydra.core.override_parser.types import Quote, QuotedString
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from configs.schema import register_schema
+from configs.sweeps import MULTIRUN, with_run_dirs
 from envs.registry import task_defaults
 from pipeline.files.run_files import PLACES
 from pipeline.literals import LITERAL, TASK_KEY, literal
@@ -87,6 +88,7 @@ def prepare(overrides: Sequence[str]) -> list[str]:
 
     Raises:
         UnknownTaskError: If no task has the name that is asked for.
+        ValueError: If all runs of a sweep are to be kept in one directory.
     """
     register_schema()
     renamed = [rename_override(override) for override in overrides]
@@ -95,8 +97,9 @@ def prepare(overrides: Sequence[str]) -> list[str]:
             old, new = typed.partition("=")[0], today.partition("=")[0]
             _logger.warning("%s is now called %s; the old name will go", old, new)
     register_task_defaults(task_defaults(task_named(renamed)))
-    several = bool({"-m", "--multirun"} & set(renamed))
-    return [spelled_for_hydra(override, several=several) for override in renamed]
+    several = bool(MULTIRUN & set(renamed))
+    spelled = [spelled_for_hydra(override, several=several) for override in renamed]
+    return with_run_dirs(spelled) if several else spelled
 
 
 def spelled_for_hydra(override: str, *, several: bool = False) -> str:

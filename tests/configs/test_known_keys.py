@@ -41,7 +41,7 @@ def test_a_name_in_a_folder_of_somebody_s_own_is_left_to_hydra():
 
 def test_what_may_be_typed_passes():
     require_known(prepare([
-        "variant=bc_sac", "preset=smoke,table", "run_dir=runs/x", "seed=1,2",
+        "variant=bc_sac", "preset=smoke,table", "run_dir='runs/${seed}'", "seed=1,2",
         "loss.bc_weight={init: 2}", "loss={gamma: 0.9}", "task.kwargs.g=9.0",
         "task.name='gymnasium:Pendulum-v1'",
         "task.randomise.factors.mass=[0.9,1.1]", "task.success=return>=-200",

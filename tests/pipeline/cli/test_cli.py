@@ -471,6 +471,23 @@ def test_a_sweep_runs_all_of_its_jobs_and_reports_those_that_failed(
         assert f"of seed {seed}" in error
 
 
+def test_each_run_of_a_sweep_has_a_directory_of_its_own(
+    training: Command, monkeypatch: pytest.MonkeyPatch
+):
+    kept = []
+
+    def some(_recipe: Recipe, run_dir: Path, **_options: object) -> None:
+        kept.append(str(run_dir))
+        raise ValueError("enough")
+
+    monkeypatch.setattr(train, "build_run", some)
+    training("--multirun", "loss.gamma=0.9,0.99", "variant=sac", "preset=smoke")
+    training("--multirun", "actor.hidden=[8],[8,8]", "variant=sac", "preset=smoke")
+    folder = "runs/sac-smoke-seed0"
+    assert kept[:2] == [f"{folder}-loss.gamma-0.9", f"{folder}-loss.gamma-0.99"]
+    assert kept[2:] == [f"{folder}-job0", f"{folder}-job1"]
+
+
 def test_where_nothing_can_be_rendered_is_one_line_before_any_work(
     command: Command, trained: Path, monkeypatch: pytest.MonkeyPatch
 ):
