@@ -72,6 +72,24 @@ def test_runs_of_other_recipes_are_called_after_what_differs(tmp_path: Path):
     assert shown.rows == [["loss.gamma", "0.9", "0.99"]]
 
 
+def test_a_resumed_seed_stays_in_the_row_of_what_it_ended_as(tmp_path: Path):
+    """The history of its directory is how it came to these settings, not another recipe."""
+    change = {"frames": 300, "at": "2026-01-01", "changed": {"bc.updates": [300, 600]}}
+    make_run(tmp_path / "a", seed=0, bc={"updates": 600})
+    make_run(tmp_path / "b", seed=1, bc={"updates": 600}, history=[change])
+    rows = group(read_runs([tmp_path / "a", tmp_path / "b"]))
+    assert [(row.name, len(row.runs)) for row in rows] == [("dbc_sac", 2)]
+    assert section(build_report(rows), "differences").absent == ["none"]
+
+
+def test_long_values_are_shortened_in_a_name_and_names_stay_unlike(tmp_path: Path):
+    paths = [make_run(tmp_path / name, loss={"own_terms": f"{'long' * 6}{name}"}) for name in "ab"]
+    named = [row.name for row in group(read_runs(paths))]
+    # 21 characters and three dots.
+    first = "dbc_sac (loss.own_terms=longlonglonglonglongl...)"
+    assert named == [first, f"{first} #2"]
+
+
 def test_a_folder_of_seeds_is_a_row_of_its_name(tmp_path: Path):
     for seed in (0, 1, 10):
         make_run(tmp_path / "mine" / f"seed{seed}", seed=seed)
