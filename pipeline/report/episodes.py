@@ -32,7 +32,7 @@ MOST_AXES = 6
 """Of a start that is a place; longer ones are states."""
 BINS = 5
 NO_PLACES = "its task says no places where episodes begin, or no success"
-TO_GET_THEM = "no table of its episodes; make it with: make eval RUN=..."
+TO_GET_THEM = "no table of the episodes; make it with: make eval RUN=..."
 
 
 def stages(rows: Sequence[RunGroup]) -> Section:
@@ -60,7 +60,9 @@ def stages(rows: Sequence[RunGroup]) -> Section:
         if shares
         else [],
         absent=told_once(
-            {row.name: "its evaluations tell no stages" for row in rows if row.name not in shares}
+            {row.name: "evaluations without stages" for row in rows if row.name not in shares},
+            [row.name for row in rows],
+            "rows",
         ),
     )
 
@@ -109,7 +111,11 @@ def times(rows: Sequence[RunGroup]) -> Section:
             chart("success by step", curves_panel(group, "control step", "share", share=True))
             for group in panels(found, lambda curve: curve.place)
         ],
-        absent=told_once({row.name: TO_GET_THEM for row in rows if row.name not in told}),
+        absent=told_once(
+            {row.name: TO_GET_THEM for row in rows if row.name not in told},
+            [row.name for row in rows],
+            "rows",
+        ),
     )
 
 
@@ -180,7 +186,7 @@ def maps(rows: Sequence[RunGroup], task: Task | None) -> Section:
         "that succeed from there.",
         tables=[Table(headers, lines)] if lines else [],
         charts=charts,
-        absent=told_once(lacking),
+        absent=told_once(lacking, [row.name for row in rows], "rows"),
     )
 
 

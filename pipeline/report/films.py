@@ -23,10 +23,11 @@ def films(rows: Sequence[RunGroup]) -> Section:
     clips: list[Clip] = []
     lacking: dict[str, str] = {}
     room = TOTAL_BYTES
-    for run in (run for row in rows for run in row.runs):
+    runs = [run for row in rows for run in row.runs]
+    for run in runs:
         found = _films_of(run)
         if not found:
-            lacking[run.name] = "no film in its folder; make one with: make video RUN=..."
+            lacking[run.name] = "no film in the run's folder; make one with: make video RUN=..."
         for path in found:
             size = path.stat().st_size
             if size > MOST_BYTES:
@@ -46,7 +47,7 @@ def films(rows: Sequence[RunGroup]) -> Section:
         "Films",
         "Episodes of the fixed evaluation list, as they are evaluated.",
         clips=clips,
-        absent=told_once(lacking),
+        absent=told_once(lacking, [run.name for run in runs], "runs"),
     )
 
 
