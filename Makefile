@@ -31,6 +31,8 @@ TORCH_VERSION := $(shell sed -n 's/^torch==//p' constraints.txt)
 # 1024 wide up to 5,000 times: 6 % of an update (docs/performance.md). Other C libraries ignore these.
 export MALLOC_MMAP_THRESHOLD_ ?= 33554432
 export MALLOC_TRIM_THRESHOLD_ ?= 8589934592
+# Of the command bcsac (bcsac.py): what make starts names targets of make.
+unexport BCSAC_STARTED_AS
 
 # ---- what a command was given -----------------------------------------------------------------
 # $(call quoted,NAME): the value of NAME as one word of the shell, whatever it holds: of $, quotes
