@@ -31,6 +31,8 @@ TORCH_VERSION := $(shell sed -n 's/^torch==//p' constraints.txt)
 # 1024 wide up to 5,000 times: 6 % of an update (docs/performance.md). Other C libraries ignore these.
 export MALLOC_MMAP_THRESHOLD_ ?= 33554432
 export MALLOC_TRIM_THRESHOLD_ ?= 8589934592
+# Of the command bcsac (bcsac.py): what make starts names targets of make.
+unexport BCSAC_STARTED_AS
 
 # ---- what a command was given -----------------------------------------------------------------
 # $(call quoted,NAME): the value of NAME as one word of the shell, whatever it holds: of $, quotes
@@ -81,17 +83,26 @@ ROW_EVALUATIONS = $(foreach seed,$(SEEDS),$(foreach row,$(ROWS),$(ROW_RUNS)/$(ro
 
 .PHONY: help
 help: ## print this list
-	@awk 'BEGIN { FS = ":.*## " } \
+	@awk 'function wrapped(text, apart, mark,   n, i, part, line) { \
+	    n = split(text, part, apart); line = part[1]; \
+	    for (i = 2; i <= n; i++) { \
+	      if (length(line mark part[i]) > 99) { print line; line = sprintf("%16s%s%s", "", mark, part[i]) } \
+	      else line = line " " mark part[i] } \
+	    print line } \
+	  BEGIN { FS = ":.*## " } \
 	  /^##@/ { printf "\n%s\n", substr($$0, 5) } \
-	  /^[a-z][a-z-]*:.*## / { printf "  %-13s %s\n", $$1, $$2 } \
-	  END { printf "\nTASK is door, hammer, pen, relocate, gymnasium:ID, gymnasium:MODULE:ID, dm_control:DOMAIN/TASK, path/to/file.py[:NAME]\n" \
-	    "(a Task, a gymnasium.Env class or a function that makes one), or an entry point of bcsac.tasks.\n" }' $(firstword $(MAKEFILE_LIST))
+	  /^[a-z][a-z-]*:.*## / { at = index($$2, " ["); \
+	    wrapped(sprintf("  %-13s %s", $$1, at ? substr($$2, 1, at - 1) : $$2), "[ ]", ""); \
+	    if (at) wrapped(sprintf("%16s%s", "", substr($$2, at + 1)), " [[]", "[") } \
+	  END { print "\nTASK is door, hammer, pen, relocate, gymnasium:ID, gymnasium:MODULE:ID, dm_control:DOMAIN/TASK,"; \
+	    print "path/to/file.py[:NAME] (a Task, a gymnasium.Env class or a function that makes one), or an entry"; \
+	    print "point of bcsac.tasks." }' $(firstword $(MAKEFILE_LIST))
 
 .PHONY: install
 install: $(STAMP) ## create or update .venv [EXTRAS=dev,video,sweep,wandb,mlflow] [TORCH_BUILD=cpu]
 
 .PHONY: train
-train: $(STAMP) ## train a policy [TASK=door|hammer|pen|relocate|gymnasium:ID|dm_control:DOMAIN/TASK|path/to/file.py[:NAME]|...] [VARIANT=...] [PRESET=smoke|default|table|paper|control] [DEMOS=...] [RUN=dir] [RESUME=dir] [ARGS="..."]
+train: $(STAMP) ## train a policy [TASK=door|hammer|pen|relocate|gymnasium:ID|dm_control:DOMAIN/TASK|file.py[:NAME]] [VARIANT=...] [PRESET=smoke|default|table|paper|control] [DEMOS=...] [RUN=dir] [RESUME=dir] [ARGS="..."]
 	@$(RUN_PYTHON) -m pipeline.train $(TRAIN_ARGS)
 
 .PHONY: eval
@@ -145,7 +156,7 @@ demos-check: $(STAMP) ## validate and replay demonstrations [DEMOS=bundled|path|
 	@$(RUN_PYTHON) -m pipeline.cli demos-check $(if $(value DEMOS),$(call quoted,DEMOS)) $(TASK_ARGS) $(ARGS)
 
 .PHONY: record
-record: $(STAMP) ## write successful episodes as demonstrations: of RUN=dir [TASK=...], or of TASK=... POLICY=path.py:function [EPISODES=25] [OUT=x.h5|x.hdf5|minari:ID]
+record: $(STAMP) ## write successful episodes as demonstrations: of RUN=dir, or of TASK=... POLICY=path.py:function [TASK=...] [EPISODES=25] [OUT=x.h5|x.hdf5|minari:ID]
 	@$(RUN_PYTHON) -m pipeline.cli record $(call quoted,RUN) $(TASK_ARGS) $(if $(value POLICY),--policy $(call quoted,POLICY)) $(EPISODE_ARGS) $(OUT_ARGS) $(ARGS)
 
 .PHONY: video

@@ -24,6 +24,9 @@ from typing import Final
 
 NAMES: Final = ("configs", "envs", "losses", "pipeline")
 """Our top-level packages."""
+STARTED_AS: Final = "BCSAC_STARTED_AS"
+"""Variable of the environment: ``bcsac`` below :func:`main`, so that messages name its commands, in
+processes that it starts too; the Makefile takes it out."""
 
 _ROOT: Final = Path(__file__).resolve().parent
 _USAGE: Final = """\
@@ -65,6 +68,7 @@ def main() -> None:
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # a script lacks it, and a user's task may lie there
     claim()
+    os.environ[STARTED_AS] = "bcsac"
     if sys.argv[1:2] == ["train"]:
         del sys.argv[1]
         # As `python -m pipeline.train`, which is what Hydra asks for when it names a job.

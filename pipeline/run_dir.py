@@ -23,6 +23,7 @@ from pipeline.files.run_lock import is_locked
 from pipeline.overrides import overridden
 from pipeline.recipe import Recipe
 from pipeline.renamed import rename_override
+from pipeline.results import again
 from pipeline.settings import SettingsError
 from pipeline.trust import require_trusted
 
@@ -74,10 +75,11 @@ def existing(path: Path) -> str:
             f"Run directory {path} exists: a run at {counted} of {budget.total} {budget.unit}. "
             f"Continue it with RESUME={path}, {another}."
         )
+    task = again.task_of(path)
+    longer = again.command("train", "", task, [f"{budget.key}=..."], RESUME=path)
     return (
-        f"Run directory {path} exists: a complete run of {counted} {budget.unit}. Evaluate it "
-        f"with make eval RUN={path}, train it for longer with RESUME={path} "
-        f'ARGS="{budget.key}=...", {another}.'
+        f"Run directory {path} exists: a complete run of {counted} {budget.unit}. Evaluate it with "
+        f"{again.evaluate(path)}, train it for longer with {longer}, {another}."
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -138,6 +139,18 @@ def test_every_target_has_its_line_in_the_help(make_help: dict[str, str]):
         for name in line.split()
     }
     assert phony == set(make_help)
+
+
+def test_the_help_can_be_read_at_100_columns():
+    """Options stand on lines of their own, whole, below what a target does."""
+    lines = run("make").stdout.splitlines()
+    assert max(map(len, lines)) <= 100
+    (place,) = (i for i, line in enumerate(lines) if line.startswith("  train "))
+    assert lines[place] == "  train         train a policy"
+    options = list(itertools.takewhile(lambda line: line.startswith(" " * 16), lines[place + 1 :]))
+    assert options[0].startswith(" " * 16 + "[TASK=door|")
+    (told,) = re.findall(r"^train:.*## train a policy (.*)$", (ROOT / "Makefile").read_text(), re.M)
+    assert " ".join(option.strip() for option in options) == told
 
 
 def test_the_documents_name_only_targets_that_exist(

@@ -25,7 +25,11 @@ from docs.site.places import DOCS, ROOT
 from docs.site.tables import code, table
 from envs.demonstrations.readers import find_readers
 
-MARK = re.compile(r"^<!-- generated: ([\w-]+) -->$", re.MULTILINE)
+MARK = re.compile(
+    r"^<!-- generated: ([\w-]+) -->$(?:\n(?:(?!<!-- generated: ).)*?^<!-- end: \1 -->$)?",
+    re.MULTILINE | re.DOTALL,
+)
+"""With what :mod:`docs.site.fill` put between it and its end."""
 
 
 def expanded(page: Page) -> str:

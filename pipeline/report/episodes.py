@@ -23,6 +23,7 @@ from pipeline.report.charts import (
     start_map,
 )
 from pipeline.report.page import Section, Table, told_once
+from pipeline.results import again
 from pipeline.results.curves import Band
 from pipeline.results.evaluation_files import NO_STAGE, STAGE, START
 from pipeline.results.runs import RunGroup
@@ -32,7 +33,6 @@ MOST_AXES = 6
 """Of a start that is a place; longer ones are states."""
 BINS = 5
 NO_PLACES = "its task says no places where episodes begin, or no success"
-TO_GET_THEM = "no table of its episodes; make it with: make eval RUN=..."
 
 
 def stages(rows: Sequence[RunGroup]) -> Section:
@@ -60,9 +60,16 @@ def stages(rows: Sequence[RunGroup]) -> Section:
         if shares
         else [],
         absent=told_once(
-            {row.name: "its evaluations tell no stages" for row in rows if row.name not in shares}
+            {row.name: "evaluations without stages" for row in rows if row.name not in shares},
+            [row.name for row in rows],
+            "rows",
         ),
     )
+
+
+def to_get_them() -> str:
+    """Why there is nothing to show of a row's episodes."""
+    return f"no table of the episodes; make it with: {again.command('eval', '...', {})}"
 
 
 def _furthest(row: RunGroup) -> dict[str, float]:
@@ -109,7 +116,11 @@ def times(rows: Sequence[RunGroup]) -> Section:
             chart("success by step", curves_panel(group, "control step", "share", share=True))
             for group in panels(found, lambda curve: curve.place)
         ],
-        absent=told_once({row.name: TO_GET_THEM for row in rows if row.name not in told}),
+        absent=told_once(
+            {row.name: to_get_them() for row in rows if row.name not in told},
+            [row.name for row in rows],
+            "rows",
+        ),
     )
 
 
@@ -144,7 +155,7 @@ def maps(rows: Sequence[RunGroup], task: Task | None) -> Section:
     """Success over where episodes begin."""
     mapped = {row.name: found for row in rows if (found := _starts(row)) is not None}
     lacking = {
-        row.name: NO_PLACES if any(run.episodes for run in row.runs) else TO_GET_THEM
+        row.name: NO_PLACES if any(run.episodes for run in row.runs) else to_get_them()
         for row in rows
         if row.name not in mapped
     }
@@ -180,7 +191,7 @@ def maps(rows: Sequence[RunGroup], task: Task | None) -> Section:
         "that succeed from there.",
         tables=[Table(headers, lines)] if lines else [],
         charts=charts,
-        absent=told_once(lacking),
+        absent=told_once(lacking, [row.name for row in rows], "rows"),
     )
 
 

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Final
 
 from pipeline.report.page import Clip, Section, told_once
+from pipeline.results import again
 from pipeline.results.runs import EvaluatedRun, RunGroup
 
 MOST_BYTES: Final = 3_000_000
@@ -23,16 +24,17 @@ def films(rows: Sequence[RunGroup]) -> Section:
     clips: list[Clip] = []
     lacking: dict[str, str] = {}
     room = TOTAL_BYTES
-    for run in (run for row in rows for run in row.runs):
+    video, shorter = (again.command("video", "...", {}, EPISODES=n) for n in ("", 1))
+    runs = [run for row in rows for run in row.runs]
+    for run in runs:
         found = _films_of(run)
         if not found:
-            lacking[run.name] = "no film in its folder; make one with: make video RUN=..."
+            lacking[run.name] = f"no film in the run's folder; make one with: {video}"
         for path in found:
             size = path.stat().st_size
             if size > MOST_BYTES:
                 lacking[f"{run.name}/{path.name}"] = (
-                    f"more than {MOST_BYTES / 1e6:g} MB; a shorter one: make video RUN=... "
-                    "EPISODES=1, or OUT=RUN/video.gif"
+                    f"more than {MOST_BYTES / 1e6:g} MB; a shorter one: {shorter}, or as a GIF"
                 )
             elif size > room:
                 lacking[f"{run.name}/{path.name}"] = (
@@ -46,7 +48,7 @@ def films(rows: Sequence[RunGroup]) -> Section:
         "Films",
         "Episodes of the fixed evaluation list, as they are evaluated.",
         clips=clips,
-        absent=told_once(lacking),
+        absent=told_once(lacking, [run.name for run in runs], "runs"),
     )
 
 

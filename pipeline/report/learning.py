@@ -11,15 +11,27 @@ import plotly.graph_objects as go
 from envs.reference import Reference
 from pipeline.report.charts import Curve, bars, chart, curves_panel, in_order, panels
 from pipeline.report.page import Chart, Section, Table, told_once
-from pipeline.results.curves import AXES, Axis, Band, curves_over, last_of, tells
+from pipeline.results.curves import (
+    AXES,
+    Axis,
+    Band,
+    column,
+    curves_over,
+    is_offline,
+    last_of,
+    tells,
+)
 from pipeline.results.curves import DIAGNOSTICS as PANELS
 from pipeline.results.run_tables import RETURN, reference_row
 from pipeline.results.runs import RunGroup
 from pipeline.watch.alarm import FADED, FALL, NATS, PREFERENCE
 
 SUCCESS = "success_once"
+UPDATES = "actor_updates"
 MARGIN = 0.05
 """Of an axis, beyond what is drawn."""
+SHORT_S = 120.0
+"""Rows whose longest took less are timed in seconds, others in minutes."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +118,7 @@ def curves(rows: Sequence[RunGroup], reference: Reference | None) -> Section:
         charts += _panels(rows, key, label, share=share, reference=reference)
     lacking = {r.name: "no learning curve" for r in rows if not any(run.curve for run in r.runs)}
     for axis in AXES:
-        reason = f"no curve over {axis.label}, which not all of its runs told"
+        reason = f"no curve over {axis.label}, which not all runs of the row told"
         lacking |= {
             row.name: reason for row in rows if row.name not in lacking and not tells(row, axis)
         }
@@ -120,7 +132,7 @@ def curves(rows: Sequence[RunGroup], reference: Reference | None) -> Section:
         "rollouts beside them took; evaluations are in none of the axes but wall time.",
         charts=charts,
         axes=_choice(rows),
-        absent=told_once(lacking),
+        absent=told_once(lacking, [row.name for row in rows], "rows"),
     )
 
 
@@ -205,15 +217,34 @@ def diagnostics(rows: Sequence[RunGroup]) -> Section:
     )
 
 
+def never_learned(rows: Sequence[RunGroup]) -> list[str]:
+    """Rows that took frames and whose actors got no update, a line each; what they show is no RL.
+
+    By the last row of the learning curve that counts them; none of rows that count none.
+    """
+    found = []
+    for row in rows:
+        updates = [value for run in row.runs for value in column(run, UPDATES)[1][-1:]]
+        if updates and not any(updates) and not is_offline(row):
+            found.append(
+                f"{row.name}: actor updates: 0, so this row is the policy that it began with, its "
+                "clone where it has one; train for longer or lower optim.actor_delay"
+            )
+    return found
+
+
 def wall_time(rows: Sequence[RunGroup]) -> Section:
     """Where the time went."""
     timed = {row.name: [run.seconds for run in row.runs if run.seconds] for row in rows}
     known = {name: runs for name, runs in timed.items() if runs}
     names = {part: None for runs in known.values() for run in runs for part in run}
-    lengths = {
-        part: [float(np.mean([run.get(part, 0.0) for run in runs])) / 60 for runs in known.values()]
+    seconds = {
+        part: [float(np.mean([run.get(part, 0.0) for run in runs])) for runs in known.values()]
         for part in names
     }
+    longest = max((sum(row) for row in zip(*seconds.values(), strict=True)), default=0.0)
+    unit, length = ("min", 60.0) if longest >= SHORT_S else ("s", 1.0)
+    lengths = {part: [value / length for value in of] for part, of in seconds.items()}
     parts = dict(sorted(lengths.items(), key=lambda part: -sum(part[1])))
     lines = [
         [name, f"{sum(part[i] for part in parts.values()):.1f}",
@@ -223,16 +254,16 @@ def wall_time(rows: Sequence[RunGroup]) -> Section:
     return Section(
         "time",
         "Wall time",
-        "Mean over the runs of a row, min. Runs that shared a machine slowed one another down.",
+        f"Mean over the runs of a row, {unit}. Runs that shared a machine slowed one another down.",
         tables=[Table(["row", "all", *parts], lines)] if lines else [],
         charts=[
-            chart(
-                "parts of a run", bars(parts, list(known), "min", in_order(len(parts))), wide=True
-            )
+            chart("parts of a run", bars(parts, list(known), unit, in_order(len(parts))), wide=True)
         ]
         if known
         else [],
-        absent=told_once({name: "no time_use.json" for name in timed if name not in known}),
+        absent=told_once(
+            {name: "no time_use.json" for name in timed if name not in known}, list(timed), "rows"
+        ),
     )
 
 

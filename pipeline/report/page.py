@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -94,12 +94,24 @@ NAMED: Final = 6
 """Rows or runs that are named where something is lacking; of more the number is told."""
 
 
-def told_once(lacking: Mapping[str, str]) -> list[str]:
-    """What is lacking by row or run, as a line for each reason."""
+def told_once(lacking: Mapping[str, str], everything: Collection[str], what: str) -> list[str]:
+    """What is lacking by row or run, as a line for each reason.
+
+    Args:
+        lacking: Reasons by name.
+        everything: Names of all that could lack it; they are not listed where all of them do.
+        what: What they are, in the plural.
+    """
     names: dict[str, list[str]] = {}
     for name, reason in lacking.items():
         names.setdefault(reason, []).append(name)
-    return [f"{_listed(of)}: {reason}" for reason, of in names.items()]
+    every = set(everything)
+    return [
+        f"all {len(of)} {what}: {reason}"
+        if len(of) > 1 and every == set(of)
+        else f"{_listed(of)}: {reason}"
+        for reason, of in names.items()
+    ]
 
 
 def _listed(names: Sequence[str]) -> str:

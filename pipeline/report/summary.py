@@ -10,7 +10,7 @@ import numpy as np
 
 from envs.reference import Column, Reference
 from pipeline.report.charts import chart
-from pipeline.report.learning import published
+from pipeline.report.learning import never_learned, published
 from pipeline.report.page import Section, Table
 from pipeline.report.plane import Spread, plane
 from pipeline.results import again
@@ -258,8 +258,9 @@ def _once(lines: Sequence[Sequence[str]]) -> list[list[str]]:
 
 
 def missing(rows: Sequence[RunGroup]) -> Section | None:
-    """What could not be read; None if nothing is missing."""
+    """What could not be read, and actors that never learned; None if nothing is missing."""
     lines = [f"{run.name}: {line}" for row in rows for run in row.runs for line in run.missing]
+    lines += never_learned(rows)
     if not lines:
         return None
     return Section(

@@ -1,11 +1,14 @@
 """Commands that messages and reports name, in words of a shell.
 
+They are of make, or of ``bcsac`` where this one was started so: an installed package has no make.
 A run directory does not run somebody's code that only it names (``pipeline.run_dir``), so that a
 command names it again: a task's file, and files of its rules.
 """
 
 from __future__ import annotations
 
+import os
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,6 +16,7 @@ from typing import Any, Final
 
 import yaml
 
+from bcsac import STARTED_AS
 from envs.options import TaskOptions
 from envs.registry import imports_of
 from pipeline.files.run_files import CONFIG
@@ -20,6 +24,8 @@ from pipeline.literals import TASK_KEY, literal, typed
 from pipeline.renamed import rename_keys
 
 TASK: Final = "task."
+KEYS: Final = {"RUN": "run_dir", "RESUME": "resume", "TASK": TASK_KEY}
+"""What the Makefile calls otherwise than Hydra."""
 RULES: Final = ("success", "reward", "progress")
 
 
@@ -35,7 +41,7 @@ def command(
     overrides: Sequence[str] = (),
     **words: object,
 ) -> str:
-    """A target of the Makefile for a run, as it was asked before.
+    """A target of the Makefile for a run, or the command of ``bcsac`` behind it, as asked before.
 
     Args:
         target: Of the Makefile.
@@ -51,10 +57,28 @@ def command(
         named = [str(task["name"])]
     given = {TASK_KEY, *(key for key, _, _ in map(_parts, rest))}
     rest += [f"{key}={typed(task[key.removeprefix(TASK)])}" for key in asked if key not in given]
-    told = {"RUN": run, **words, "TASK": "".join(named[-1:]), "ARGS": " ".join(rest)}
-    return " ".join(
-        ["make", target, *(f"{k}={shlex.quote(str(v))}" for k, v in told.items() if str(v))]
-    )
+    told = {"RUN": run, **words, "TASK": "".join(named[-1:])}
+    known = {name: str(value) for name, value in told.items() if str(value)}
+    if os.environ.get(STARTED_AS) == "bcsac":
+        return shlex.join(["bcsac", target, *_arguments(target, known), *rest])
+    known |= {"ARGS": " ".join(rest)} if rest else {}
+    return " ".join(["make", target, *(f"{k}={shlex.quote(v)}" for k, v in known.items())])
+
+
+def _arguments(target: str, words: Mapping[str, str]) -> list[str]:
+    """Of ``bcsac``, what the Makefile makes of its words: keys to train, options to all others."""
+    if target == "train":
+        return [f"{KEYS[name]}={_as_literal(value)}" for name, value in words.items()]
+    options = ((f"--{name.lower()}", value) for name, value in words.items() if name != "RUN")
+    return [*([words["RUN"]] if "RUN" in words else []), *(one for pair in options for one in pair)]
+
+
+def _as_literal(value: str) -> str:
+    """Between quotes where Hydra reads something else than the value; see ``pipeline.literals``."""
+    if re.fullmatch(r"[\w./:-]+", value):
+        return value
+    escaped = value.replace("${", "\\${").replace("'", "\\'")
+    return f"'{escaped}'"
 
 
 def _parts(override: str) -> tuple[str, str, str]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from pipeline.files.config_file import HISTORY
 from pipeline.results.runs import EvaluatedRun, RunGroup
 
 RECIPE = (
@@ -27,9 +29,10 @@ OF_THE_MACHINE = frozenset(
     | {"env.num_threads", "env.workers", "demos.multiply.seed"}
 )
 """Keys whose values do not make another recipe."""
-NOT_OF_THE_RECIPE = ("logging.",)
-SHOWN = 3
-"""Differing keys in the name of a row."""
+NOT_OF_THE_RECIPE = ("logging.", HISTORY)
+"""Nor what a run was before it was resumed: its other keys hold what it ended as."""
+SHOWN, VALUE_LENGTH = 3, 24
+"""Differing keys in the name of a row, and characters of each value."""
 
 
 def group(runs: Sequence[EvaluatedRun]) -> list[RunGroup]:
@@ -43,14 +46,15 @@ def group(runs: Sequence[EvaluatedRun]) -> list[RunGroup]:
         name = run.folder or str(run.told("variant") or run.path.stem)
         identity = "" if run.folder else json.dumps(recipe(run), sort_keys=True, default=str)
         named[name].setdefault(identity, []).append(run)
-    rows = []
+    rows: dict[str, RunGroup] = {}
     for name, groups in named.items():
         recipes = [recipe(members[0]) for members in groups.values()]
         keys = different(recipes)
         for members, values in zip(groups.values(), recipes, strict=True):
-            told = ", ".join(f"{key}={values.get(key)}" for key in keys[:SHOWN])
-            rows.append(RunGroup(f"{name} ({told})" if keys else name, tuple(members)))
-    return rows
+            told = ", ".join(f"{key}={_shortened(values.get(key))}" for key in keys[:SHOWN])
+            label = _unlike(f"{name} ({told})" if keys else name, rows)
+            rows[label] = RunGroup(label, tuple(members))
+    return list(rows.values())
 
 
 def recipe(run: EvaluatedRun) -> Mapping[str, Any]:
@@ -71,6 +75,17 @@ def different(recipes: Sequence[Mapping[str, Any]]) -> list[str]:
     """Keys that do not have one value, in their order."""
     keys = {key: None for values in recipes for key in values}
     return [key for key in keys if any(r.get(key) != recipes[0].get(key) for r in recipes)]
+
+
+def _shortened(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= VALUE_LENGTH else f"{text[: VALUE_LENGTH - 3]}..."
+
+
+def _unlike(label: str, others: Container[str]) -> str:
+    """The label, numbered where what is left out of it is all that tells two rows apart."""
+    numbered = (f"{label} #{number}" for number in count(2))
+    return next(one for one in chain([label], numbered) if one not in others)
 
 
 def _short(value: Any) -> Any:

@@ -18,7 +18,7 @@ from pipeline.files.curves import read_lines
 from pipeline.files.run_files import RunDirectoryError
 from pipeline.recipe import Recipe
 from pipeline.resuming import changes
-from pipeline.run_dir import load_recipe
+from pipeline.run_dir import existing, load_recipe
 from pipeline.trainer import Run
 from tests.toys import reach
 
@@ -235,6 +235,14 @@ def test_a_clone_counts_updates(tmp_path: Path):
     resumed(tmp_path / "run").train()
     with pytest.raises(RunDirectoryError, match=r": a complete run of 200 updates of cloning\. Ev"):
         build_run(recipe, tmp_path / "run")
+
+
+def test_the_commands_for_a_complete_run_name_its_task(tmp_path: Path):
+    run_dir = stopped(tmp_path / "run", at=WHOLE)
+    told = existing(run_dir)
+    assert f"Evaluate it with make eval RUN={run_dir} TASK={FILE}, train it" in told
+    longer = f"make train RESUME={run_dir} TASK={FILE} ARGS=collector.total_frames=..., or"
+    assert longer in told
 
 
 HOLD = """

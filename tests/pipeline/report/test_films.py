@@ -46,7 +46,7 @@ def test_what_is_too_long_or_missing_says_how_to_make_it(
     told = "\n".join(found.absent)
     assert re.search(r"/a/video\.mp4: more than .*make video RUN=\.\.\. EPISODES=1", told)
     assert re.search(r"/c/video\.mp4: the films before it fill", told)
-    assert re.search(r"/e: no film in its folder; make one with: make video RUN=", told)
+    assert re.search(r"/e: no film in the run's folder; make one with: make video RUN=", told)
 
 
 def test_a_link_is_not_followed(tmp_path: Path):

@@ -16,7 +16,7 @@ from pipeline.cli import app
 from pipeline.files.run_files import RunDirectoryError
 from pipeline.machine import extras
 from pipeline.report.build import build_report, write_report
-from pipeline.report.page import Report, Section, Table
+from pipeline.report.page import Report, Section, Table, told_once
 from pipeline.results.grouping import group
 from pipeline.results.reading import read_runs
 from pipeline.results.robustness import ROBUSTNESS, Ladder, Measured, Robustness
@@ -70,6 +70,24 @@ def test_runs_of_other_recipes_are_called_after_what_differs(tmp_path: Path):
     assert [row.name for row in rows] == ["dbc_sac (loss.gamma=0.9)", "dbc_sac (loss.gamma=0.99)"]
     shown = section(build_report(rows), "differences").tables[0]
     assert shown.rows == [["loss.gamma", "0.9", "0.99"]]
+
+
+def test_a_resumed_seed_stays_in_the_row_of_what_it_ended_as(tmp_path: Path):
+    """The history of its directory is how it came to these settings, not another recipe."""
+    change = {"frames": 300, "at": "2026-01-01", "changed": {"bc.updates": [300, 600]}}
+    make_run(tmp_path / "a", seed=0, bc={"updates": 600})
+    make_run(tmp_path / "b", seed=1, bc={"updates": 600}, history=[change])
+    rows = group(read_runs([tmp_path / "a", tmp_path / "b"]))
+    assert [(row.name, len(row.runs)) for row in rows] == [("dbc_sac", 2)]
+    assert section(build_report(rows), "differences").absent == ["none"]
+
+
+def test_long_values_are_shortened_in_a_name_and_names_stay_unlike(tmp_path: Path):
+    paths = [make_run(tmp_path / name, loss={"own_terms": f"{'long' * 6}{name}"}) for name in "ab"]
+    named = [row.name for row in group(read_runs(paths))]
+    # 21 characters and three dots.
+    first = "dbc_sac (loss.own_terms=longlonglonglonglongl...)"
+    assert named == [first, f"{first} #2"]
 
 
 def test_a_folder_of_seeds_is_a_row_of_its_name(tmp_path: Path):
@@ -137,9 +155,17 @@ def test_sections_without_anything_to_show_are_told_together(tmp_path: Path):
     page, text = report.html(), report.markdown()
     assert "<h2>Films</h2>" not in page
     assert page.index("<h2>Not shown</h2>") > page.index("<h2>Results</h2>")
-    told = "mine/seed5 and 2 more: no film in its folder"
+    told = "all 8 runs: no film in the run"
     assert told in page
-    assert f"- Films: mine/seed0, mine/seed1, mine/seed2, mine/seed3, mine/seed4, {told}" in text
+    assert f"- Films: {told}" in text
+
+
+def test_those_that_lack_something_are_named_if_others_do_not():
+    runs = [f"run{i}" for i in range(9)]
+    assert told_once(dict.fromkeys(runs, "no film"), runs, "runs") == ["all 9 runs: no film"]
+    assert told_once({"run0": "no film"}, ["run0"], "runs") == ["run0: no film"]
+    eight = "run0, run1, run2, run3, run4, run5 and 2 more: no film"
+    assert told_once(dict.fromkeys(runs[:8], "no film"), runs, "runs") == [eight]
 
 
 def test_curves_are_means_over_seeds_with_the_published_number(two_seeds: Report):
@@ -308,6 +334,39 @@ def test_likeness_stands_below_that_of_the_demonstrations(tmp_path: Path):
     assert (demonstrations["x"], demonstrations["y"]) == ([200.0], [1.5])
     assert (ours["name"], ours["x"], ours["y"]) == ("dbc_sac", [90.0], [3.0])
     assert (ours["error_x"]["array"], ours["error_x"]["arrayminus"]) == ([30.0], [20.0])
+
+
+@pytest.mark.parametrize(
+    ("of_the_longest", "told"),
+    [(119.5, ["s", "1.0", "119.5"]), (120.0, ["min", "0.0", "2.0"])],
+)
+def test_wall_time_of_short_runs_is_in_seconds(
+    tmp_path: Path, of_the_longest: float, told: list[str]
+):
+    for name, seconds in (("short", 1.0), ("long", of_the_longest)):
+        run = make_run(tmp_path / name / "seed0")
+        (run / "time_use.json").write_text(json.dumps({"parts_s": {"updates": seconds}}))
+    report = reported(tmp_path)
+    all_of = [line(report, "time", name)["all"] for name in ("short", "long")]
+    assert [*all_of] == told[1:]
+    assert f"of a row, {told[0]}." in section(report, "time").text
+
+
+@pytest.mark.parametrize(("updates", "told"), [((0, 0), True), ((0, 3), False)])
+def test_a_row_whose_actor_got_no_update_is_its_clone(
+    tmp_path: Path, updates: tuple[int, int], told: bool
+):
+    """Of two seeds; a clone's own curve counts its updates otherwise, and is what it says."""
+    for seed, count in enumerate(updates):
+        points = curve(0.0, 0.5, actor_updates=count)
+        make_run(tmp_path / "bc_sac" / f"seed{seed}", seed=seed, points=points)
+    offline = curve(0.5, actor_updates=0)
+    make_run(tmp_path / "bc" / "seed0", variant="bc", frames=0, points=offline)
+    report = reported(tmp_path)
+    assert ("missing" in [part.key for part in report.sections]) is told
+    if told:
+        (said,) = section(report, "missing").absent
+        assert said.startswith("bc_sac: actor updates: 0, so this row is the policy")
 
 
 def test_wall_time_is_in_minutes_by_part(two_seeds: Report):
