@@ -9,9 +9,11 @@ from typing import Any, Final
 
 import yaml
 
-from pipeline.files.config_file import HISTORY, read_config, saved_values
+from pipeline.files import again
+from pipeline.files.config_file import read_config, saved_values
 from pipeline.files.run_files import (
     CONFIG,
+    HISTORY,
     VERSIONS,
     RunDirectoryError,
     versions,
@@ -23,7 +25,6 @@ from pipeline.files.run_lock import is_locked
 from pipeline.overrides import overridden
 from pipeline.recipe import Recipe
 from pipeline.renamed import rename_override
-from pipeline.results import again
 from pipeline.settings import SettingsError
 from pipeline.trust import require_trusted
 

@@ -17,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from configs import prepare, recipe_of, require_known
 from envs.task import TaskFailedError
 from pipeline.build import build_run
+from pipeline.files import again
 from pipeline.literals import typed, word
 from pipeline.machine.disk import training_stopped_by
 from pipeline.machine.interruption import Interrupted, Interruption, interruption
@@ -24,7 +25,6 @@ from pipeline.machine.memory import told_memory
 from pipeline.machine.sweep import note, sweep
 from pipeline.non_finite import EXIT_CODE, NonFiniteError
 from pipeline.recipe import Recipe
-from pipeline.results import again
 from pipeline.run_dir import load_recipe
 
 logger = logging.getLogger(__name__)

@@ -9,14 +9,19 @@ from typing import Any, Final
 import yaml
 
 from envs.one_line import text_of
-from pipeline.files.run_files import CONFIG, PLACES, RunDirectoryError, config_of, read_summed
+from pipeline.files.run_files import (
+    CONFIG,
+    HISTORY,
+    PLACES,
+    RunDirectoryError,
+    config_of,
+    read_summed,
+)
 from pipeline.files.run_format import require_plain
 from pipeline.renamed import rename_keys
 
 DEPTH: Final = 32
 """Of the deepest nesting that is read."""
-HISTORY: Final = "history"
-"""In the file, beside the values: when a resume changed which of them."""
 
 
 def saved_values(run_dir: Path) -> dict[str, Any]:

@@ -16,6 +16,8 @@ from typing import Any
 from envs.whole_files import whole_file
 
 CONFIG = "config.yaml"
+HISTORY = "history"
+"""In that file, beside the values: when a resume changed which of them."""
 PLACES = ("run_dir", "resume")
 """Keys of a command line that say where a run is and not what it is."""
 VERSIONS = "versions.json"

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from pipeline.files import again
 from pipeline.files.run_files import EVALUATION, RunDirectoryError
-from pipeline.results import again
 from pipeline.results.evaluation_files import EPISODES, beside, load_columns, load_evaluation
 
 if TYPE_CHECKING:

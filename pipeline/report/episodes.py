@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from envs import Task
 from envs.intervals import wilson
+from pipeline.files import again
 from pipeline.report.charts import (
     Curve,
     bars,
@@ -23,7 +24,6 @@ from pipeline.report.charts import (
     start_map,
 )
 from pipeline.report.page import Section, Table, told_once
-from pipeline.results import again
 from pipeline.results.curves import Band
 from pipeline.results.evaluation_files import NO_STAGE, STAGE, START
 from pipeline.results.runs import RunGroup

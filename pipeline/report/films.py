@@ -8,8 +8,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from pipeline.files import again
 from pipeline.report.page import Clip, Section, told_once
-from pipeline.results import again
 from pipeline.results.runs import EvaluatedRun, RunGroup
 
 MOST_BYTES: Final = 3_000_000

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from envs.reference import Column, Reference
+from pipeline.files import again
 from pipeline.report.charts import chart
 from pipeline.report.learning import never_learned, published
 from pipeline.report.page import Section, Table
 from pipeline.report.plane import Spread, plane
-from pipeline.results import again
 from pipeline.results.estimates import HOW, estimate
 from pipeline.results.evaluation import Movement, Versions
 from pipeline.results.grouping import different, recipe

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from envs import Task
 from pipeline.act.metrics import Rollouts
+from pipeline.files import again
 from pipeline.files.run_files import EVALUATION, RunDirectoryError, as_json, write_atomically
-from pipeline.results import again
 from pipeline.results.evaluation import Evaluation
 
 SUM = "sha256"

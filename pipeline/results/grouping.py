@@ -9,7 +9,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
-from pipeline.files.config_file import HISTORY
+from pipeline.files.run_files import HISTORY
 from pipeline.results.runs import EvaluatedRun, RunGroup
 
 RECIPE = (

@@ -16,6 +16,7 @@ import yaml
 
 from envs.one_line import text_of
 from pipeline.dotted import flatten
+from pipeline.files import again
 from pipeline.files.curves import count_no_rows, in_order, read_lines
 from pipeline.files.run_files import (
     ALARMS,
@@ -29,7 +30,6 @@ from pipeline.files.run_files import (
 )
 from pipeline.files.time_use import TIME_USE
 from pipeline.renamed import rename_keys
-from pipeline.results import again
 from pipeline.results.evaluation import Evaluation, Versions
 from pipeline.results.evaluation_files import (
     EPISODES,

@@ -14,8 +14,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from tabulate import tabulate
 
+from pipeline.files import again
 from pipeline.files.run_files import RunDirectoryError, as_json, write_atomically
-from pipeline.results import again
 from pipeline.results.evaluation import Share, first_fault
 
 ROBUSTNESS: Final = "robustness.json"

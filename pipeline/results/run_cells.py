@@ -11,11 +11,11 @@ from typing import Any, Final
 
 from envs import Task, find_task
 from envs.registry import imports_of
+from pipeline.files import again
 from pipeline.files.curves import FRAMES, last_wall_s
 from pipeline.files.run_files import CHECKPOINTS, CONFIG, EVALUATION, VERSIONS, RunDirectoryError
 from pipeline.files.time_use import TimeUse
 from pipeline.recipe import Recipe
-from pipeline.results import again
 from pipeline.results.cells import OWN, Cell
 from pipeline.results.demonstrators import Demonstrators, demonstrators
 from pipeline.results.evaluation import Evaluation, Versions

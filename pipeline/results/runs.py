@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from pipeline.files import again
 from pipeline.files.run_files import RunDirectoryError
-from pipeline.results import again
 from pipeline.results.evaluation import Evaluation, MadeFrom, Versions
 from pipeline.results.evaluation_files import Columns
 from pipeline.results.robustness import Robustness

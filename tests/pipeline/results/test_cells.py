@@ -27,6 +27,8 @@ from tests.pipeline.results.evaluated import REVISION, evaluated, evaluation_of,
 from tests.pipeline.toys import write_demos
 
 LISTED = {"b" * 64: Demonstrators("robot", 25)}
+NO_WEIGHTS = "--no-policies"
+"""These runs have none."""
 
 
 def read(run_dir: Path) -> Cell:
@@ -312,7 +314,7 @@ def test_make_results_publishes_cells_of_several_folders(tmp_path: Path):
     folders = [tmp_path / "one", tmp_path / "two"]
     evaluated(folders[0] / "bc" / "seed0")
     evaluated(folders[1] / "deeper" / "bc" / "seed0", recipe(env={"reward": "sparse"}))
-    done = CliRunner().invoke(app, ["results", *map(str, folders), "--out", str(out)])
+    done = CliRunner().invoke(app, ["results", *map(str, folders), "--out", str(out), NO_WEIGHTS])
     assert done.exit_code == 0, done.output
     assert "hammer, sparse, bc_sac_1, 0" in done.output
     assert "2 of 2 cells" in done.output

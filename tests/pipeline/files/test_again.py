@@ -12,8 +12,8 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from bcsac import STARTED_AS
 from pipeline.cli.judging import evaluate, robust
+from pipeline.files import again
 from pipeline.literals import literal
-from pipeline.results import again
 
 TASK = {"name": "my tasks/lift.py:LIFT"}
 ROOT = Path(__file__).parents[3]
