@@ -212,8 +212,6 @@ def test_curves_can_be_read_over_everything_that_a_run_costs(tmp_path: Path):
     assert (wall["x"][-1], wall["y"][-1]) == (1.0, 0.5)
     lacking = "older: no curve over simulator steps, which not all runs of the row told"
     assert lacking in shown.absent
-        "older: no curve over simulator steps, which not all runs of the row told" in shown.absent
-    )
 
 
 def test_without_another_axis_there_is_no_choice(two_seeds: Report):
