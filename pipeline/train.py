@@ -58,7 +58,6 @@ def resolve(config: DictConfig) -> tuple[Recipe, Path, bool]:
 @hydra.main(version_base="1.3", config_path="pkg://configs", config_name="train")
 def main(config: DictConfig) -> None:
     """Trains one run (or, with ``--multirun``, one of several)."""
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports each buffer it allocates
     failed = _failure(config)
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         note(HydraConfig.get().overrides.task, None if failed is None else failed[1])
