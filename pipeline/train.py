@@ -26,6 +26,7 @@ from pipeline.non_finite import EXIT_CODE, NonFiniteError
 from pipeline.recipe import Recipe
 from pipeline.results import again
 from pipeline.run_dir import load_recipe
+from pipeline.watch.phases import outcome
 
 logger = logging.getLogger(__name__)
 
@@ -111,7 +112,9 @@ def _train(config: DictConfig, signals: Interruption) -> None:
         further = again.command("train", "", again.task_of(run_dir), named, RESUME=run_dir)
         print(f"stopped at {frames} frames; go on with: {further}", file=sys.stderr)
         raise
-    logger.info("done; evaluate it with: %s", again.evaluate(run.run_dir))
+    found = outcome(run.evaluation.metrics)
+    done = f"done: {found}" if found else "done"
+    logger.info("%s; evaluate it with: %s", done, again.evaluate(run.run_dir))
 
 
 def run_command_line() -> None:
