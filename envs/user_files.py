@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
+from bcsac import NAMES
 from envs.one_line import kind_and_text
 
 SUFFIX: Final = ".py"
@@ -64,8 +65,21 @@ def import_file(path: str | Path, asked: str, form: str) -> ModuleType:
     except (Exception, SystemExit) as error:
         del sys.modules[name]
         hint = f"; {_OF_A_PACKAGE}" if "attempted relative import" in str(error) else ""
+        hint = hint or _of_a_shared_name(error, file)
         raise ValueError(f"{asked}: cannot import {told_at(error, file)}{hint}") from error
     return module
+
+
+def _of_a_shared_name(error: BaseException, file: Path) -> str:
+    """The remedy where a user's package has the name of one of ours and is not on the path."""
+    name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if name not in NAMES:
+        return ""
+    folder = next((up.parent for up in file.parents if up.name == name), file.parent)
+    return (
+        f"; {name} is also a package of this project: put PYTHONPATH={folder} before the command, "
+        f"or start bcsac in {folder}"
+    )
 
 
 def told_at(error: BaseException, file: Path) -> str:

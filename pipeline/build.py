@@ -60,6 +60,7 @@ def build_run(recipe: Recipe, run_dir: str | Path, *, resume: bool = False) -> R
         DemonstrationError: If the demonstrations are not usable.
         ValueError: If values of the configuration contradict each other.
     """
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports each buffer it allocates
     require_loggers(recipe.logging.loggers)
     time_use = TimeUse()
     with time_use.part("setup"):

@@ -20,6 +20,17 @@ The human demonstrations of the door, which a likelihood suits, hold 6 %; a cont
 fast as it may and opens or closes a gripper, a third.
 """
 
+TOLD: Final = {
+    "fixed_width": (
+        "demonstrated actions are imitated by their distance: %.0f %% of their entries are at the "
+        "bounds, which a likelihood does not suit (all the same: loss.imitation=nll)"
+    ),
+    "nll": (
+        "demonstrated actions are imitated by their likelihood: only %.0f %% of their entries are "
+        "at the bounds (by their distance: loss.imitation=fixed_width)"
+    ),
+}
+
 
 def with_chosen_imitation(recipe: Recipe, demos: Demonstrations | None) -> Recipe:
     """The recipe with the error that ``auto`` stands for; any other is as it was.
@@ -41,8 +52,5 @@ def with_chosen_imitation(recipe: Recipe, demos: Demonstrations | None) -> Recip
         return recipe.changed(loss={"imitation": "nll"})
     share = demos.saturated_share
     chosen = "fixed_width" if share > MANY_SATURATED else "nll"
-    _logger.info(
-        "loss.imitation=%s: %.0f %% of the demonstrated action entries are at their bounds",
-        chosen, 100 * share,
-    )  # fmt: skip
+    _logger.info(TOLD[chosen], 100 * share)
     return recipe.changed(loss={"imitation": chosen})

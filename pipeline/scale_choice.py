@@ -57,11 +57,24 @@ def with_chosen_scale(
         return unscaled(recipe), demos
     worth = good_value(demos.episodes, recipe.loss.gamma)
     scale = 1.0 if worth <= VALUE else float(f"{VALUE / worth:.2g}")
-    _logger.info(
-        "loss.reward_scale=%g: a good demonstrated state is worth %.3g (loss.gamma=%g)",
-        scale, worth, recipe.loss.gamma,
-    )  # fmt: skip
+    _logger.info("%s", _told(scale, worth, recipe.loss.gamma))
     return recipe.changed(loss={"reward_scale": scale}), demos.rewarded(scale)
+
+
+def _told(scale: float, worth: float, gamma: float) -> str:
+    sums = (
+        f"from a good demonstrated state on they add up to {worth:.3g}, discounted by "
+        f"loss.gamma={gamma:g}"
+    )
+    if scale == 1.0:
+        return (
+            f"rewards are used as they are: {sums}, and beyond {VALUE:g} imitation would count too "
+            "little beside them (another factor: loss.reward_scale=NUMBER)"
+        )
+    return (
+        f"rewards are multiplied by {scale:g}, or imitation would count too little beside them: "
+        f"{sums} (as they are: loss.reward_scale=1)"
+    )
 
 
 def good_value(episodes: Sequence[Episode], gamma: float) -> float:

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
-from pydantic_core import PydanticCustomError
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 STRICT: Final = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=True)
 """Of every section: no unknown keys, no NaN."""
@@ -41,6 +41,14 @@ Rate = Annotated[float, NUMBER, Field(ge=0.0, le=LARGEST)]
 Share = Annotated[float, NUMBER, Field(ge=0.0, le=1.0)]
 Multiple = Annotated[float, NUMBER, Field(ge=1.0, le=LARGEST)]
 Widths = Annotated[tuple[Count, ...], Field(min_length=1)]
+
+BOUNDS: Final[Mapping[str, str]] = {
+    "greater_than": "more than {}",
+    "greater_than_equal": "{} or more",
+    "less_than": "less than {}",
+    "less_than_equal": "{} or less",
+}
+"""What a value beyond a bound should have been, by pydantic's name of the error."""
 
 Section = TypeVar("Section")
 
@@ -77,10 +85,19 @@ def explained(error: ValidationError, values: Mapping[str, Any]) -> str:
             message = problem["msg"].removeprefix("Value error, ")
             found[message] = message
         elif key in found:  # another kind of value that the key may have, and this is none of
-            found[key] += f", or {problem['msg'].removeprefix('Input should be ')}"
+            found[key] += f", or {_expected(problem).removeprefix('must be ')}"
         else:
-            found[key] = f"{key}={problem['input']!r}: {problem['msg']}"
+            found[key] = f"{key}={problem['input']!r}: {_expected(problem)}"
     return "; ".join(found.values())
+
+
+def _expected(problem: ErrorDetails) -> str:
+    """What a value must be, in our words and not pydantic's."""
+    words = BOUNDS.get(problem["type"])
+    if words is None:
+        return problem["msg"].replace("Input should be ", "must be ")
+    (bound,) = problem["ctx"].values()
+    return f"must be {words.format(f'{bound:.10g}')}"
 
 
 def _key(location: Sequence[int | str], values: Mapping[str, Any]) -> str:

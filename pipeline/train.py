@@ -26,6 +26,7 @@ from pipeline.machine.sweep import note, sweep
 from pipeline.non_finite import EXIT_CODE, NonFiniteError
 from pipeline.recipe import Recipe
 from pipeline.run_dir import load_recipe
+from pipeline.watch.phases import outcome
 
 logger = logging.getLogger(__name__)
 
@@ -50,7 +51,6 @@ def resolve(config: DictConfig) -> tuple[Recipe, Path, bool]:
 @hydra.main(version_base="1.3", config_path="pkg://configs", config_name="train")
 def main(config: DictConfig) -> None:
     """Trains one run (or, with ``--multirun``, one of several)."""
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports each buffer it allocates
     failed = _failure(config)
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         note(HydraConfig.get().overrides.task, None if failed is None else failed[1])
@@ -103,7 +103,9 @@ def _train(config: DictConfig, signals: Interruption) -> None:
         further = again.command("train", "", again.task_of(run_dir), named, RESUME=run_dir)
         print(f"stopped at {counted}; go on with: {further}", file=sys.stderr)
         raise
-    logger.info("done; evaluate it with: %s", again.evaluate(run.run_dir))
+    found = outcome(run.evaluation.metrics)
+    done = f"done: {found}" if found else "done"
+    logger.info("%s; evaluate it with: %s", done, again.evaluate(run.run_dir))
 
 
 def run_command_line() -> None:

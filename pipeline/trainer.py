@@ -14,6 +14,7 @@ from filelock import FileLock
 from tensordict.nn import TensorDictModuleBase
 from torchrl.checkpoint import Checkpoint
 from torchrl.trainers import Trainer
+from tqdm.contrib.logging import logging_redirect_tqdm
 
 from envs import Task
 from pipeline import components
@@ -87,7 +88,8 @@ class Run:
             with self.time_use.part(OTHER):
                 if self.begin is not None and self.trainer.collected_frames == 0:
                     self.begin()
-                self.trainer.train()
+                with logging_redirect_tqdm():  # lines stand above the bar, not in it
+                    self.trainer.train()
                 with self.time_use.part(CHECKPOINT):
                     self.sealing.settle()
         finally:
@@ -157,6 +159,7 @@ def make_evaluation_hook(
         run_dir / LEARNING_CURVE,
         [lambda: {WALL_S: round(time_use.elapsed, 3)}, *diagnostics],
         stop,
+        recipe.budget.unit,
     )
     time_use.watch(hook, "evaluate", "evaluate")
     return hook

@@ -88,16 +88,21 @@ def late_actor(recipe: Recipe) -> str | None:
     delay, updates, learns = recipe.optim.actor_delay, critic_updates(recipe), actor_updates(recipe)
     if not updates:
         return (
-            f"collector.random_frames={recipe.collector.random_frames}: none of this run's "
-            f"{recipe.collector.total_frames} frames is learned from. Collect more, or draw fewer "
-            "at random"
+            f"nothing is learned in this run: all of its {recipe.collector.total_frames} frames "
+            f"are random actions (collector.random_frames={recipe.collector.random_frames}); collect "
+            "more (collector.total_frames) or lower collector.random_frames"
         )
     if recipe.offline or 2 * delay < updates:
         return None
+    remedy = f"set optim.actor_delay={updates // 3} or collect more frames (collector.total_frames)"
+    if not learns:
+        return (
+            f"the policy will not change in this run: its actor starts after optim.actor_delay="
+            f"{delay} updates and there are only {updates}; {remedy}"
+        )
     return (
-        f"optim.actor_delay={delay}: of this run's {updates} updates the first {delay} are the "
-        f"critics' alone, and the actor gets {learns or 'none: the policy stays what it begins as'}"
-        ". Collect more (collector.total_frames, optim.updates_per_frame) or lower the delay"
+        f"the policy hardly changes in this run: its actor gets only {learns} of {updates} "
+        f"updates, since it starts after optim.actor_delay={delay}; {remedy}"
     )
 
 

@@ -15,6 +15,7 @@ from envs.demonstrations.reading import FileSource, Reader
 from envs.demonstrations.schema import DemoSchema
 
 BUNDLED = "bundled"
+FORMS_PAGE = "What can be named: docs/reference/demonstrations.md"
 
 
 class DemonstrationSource(Protocol):
@@ -100,7 +101,8 @@ def open_source(spec: str | Path) -> DemonstrationSource:
             return FileSource(reader, text)
     path = Path(text).expanduser()
     if not path.exists():
-        raise DemonstrationError(path, "does not exist", forms())
+        where = path.absolute().parent
+        raise DemonstrationError(path, f"does not exist (looked for in {where})", FORMS_PAGE)
     if not path.is_dir():
         require_regular(path)
     found = _reader_of(path)

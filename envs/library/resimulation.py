@@ -56,9 +56,10 @@ class Resimulation:
         if kept:
             needed = [] if self.start is None else [key.name for key in self.start.keys]
             _logger.warning(
-                "%d of %d episodes are used as they were recorded: they hold nothing by which task "
-                "%s can begin them (%s)", kept, len(played), self.name,
-                " or ".join(filter(None, [START_SEED, " + ".join(needed)])),
+                "%d of %d episodes are used as they were recorded, not played again: they do not "
+                "say how task %s begins them. Record them with %s, or set demos.resimulate=false "
+                "if that is meant", kept, len(played), self.name,
+                " or ".join(filter(None, [f"their {START_SEED}", " + ".join(needed)])),
             )  # fmt: skip
         return played
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from envs.registry import FORMS
 from pipeline.cli.options import Overrides, TaskName, changes, named_first
-from pipeline.files.run_files import as_json
+from pipeline.literals import TASK_KEY
+from pipeline.results import again
 
 
 def demos_check(
@@ -74,5 +76,16 @@ def record(
     card = record_demonstrations(
         demonstrator, path, episodes=episodes, attempts=attempts, seed=seed
     )
-    typer.echo(as_json(card, indent=2))
-    typer.echo(f"written to {path}")
+    check = again.command(
+        "demos-check", "", {}, [f"{TASK_KEY}={card['task']}", *changed], DEMOS=path
+    )
+    typer.echo(f"{_told(card)} are in {path}. Next: {check}")
+
+
+def _told(card: Mapping[str, Any]) -> str:
+    good, tried = card["admitted"], card["attempts"]
+    passed = "succeeded" if card["admission"] == "success" else f"are good by {card['admission']}"
+    return (
+        f"{good} of {tried} episodes {passed} ({100 * good / tried:.0f} %); "
+        f"the first {card['kept']}"
+    )

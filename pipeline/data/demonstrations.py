@@ -209,6 +209,7 @@ def make_demonstrations(
             f"demos.held_out must leave demonstrations to train on, got {demos.held_out} of "
             f"{len(loaded.episodes)} episodes."
         )
+    _logger.info("demonstrations: %d episodes, %s steps", count, f"{loaded.transitions:,}")
     executed = demos.critic_action == "executed"
     rows = [to_rows(episode) for episode in to_tensordict(loaded.episodes, executed=executed)]
     return Demonstrations(

@@ -13,10 +13,11 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.trainers import Trainer, TrainerHookBase
 
 from pipeline.act.evaluation import Evaluator
-from pipeline.files.curves import FRAMES, read_lines
+from pipeline.files.curves import FRAMES, WALL_S, read_lines
 from pipeline.files.run_files import ALARMS, as_json
 from pipeline.machine.interruption import Interrupted, StopRequest
 from pipeline.watch.alarm import unlearning
+from pipeline.watch.phases import evaluated
 
 _logger = logging.getLogger(__name__)
 
@@ -31,6 +32,7 @@ class EvaluationHook(TrainerHookBase):
         path: ``learning_curve.jsonl`` of the run.
         diagnostics: What else to measure at each evaluation, by name.
         stop: On which the evaluation that is due is left for when the run goes on.
+        unit: What the trainer counts, for the line that each evaluation is told in.
 
     A policy that unlearns raises an alarm: a warning, and a line in ``alarms.jsonl`` beside the
     curve (see ``pipeline/watch/alarm.py``).
@@ -44,7 +46,9 @@ class EvaluationHook(TrainerHookBase):
         path: Path,
         diagnostics: Sequence[Callable[[], Mapping[str, float]]] = (),
         stop: StopRequest | None = None,
+        unit: str = "frames",
     ) -> None:
+        self.unit = unit
         self.stop = StopRequest() if stop is None else stop
         self.evaluator = evaluator
         self.policy = policy
@@ -89,10 +93,15 @@ class EvaluationHook(TrainerHookBase):
         self.last_frame = frames
         measured = {k: v for diagnostic in self.diagnostics for k, v in diagnostic().items()}
         _append(self.path, {"frames": frames, **metrics, **measured})
+        self._tell(frames, measured.get(WALL_S))
         self._watch()
         scalars = {f"eval/{k}": v for k, v in metrics.items() if isinstance(v, (int, float))}
         scalars |= {f"diagnostics/{k}": v for k, v in measured.items()}
         return {**scalars, "log_pbar": False}
+
+    def _tell(self, frames: int, seconds: float | None) -> None:
+        total = frames if self._trainer is None else self._trainer.total_frames
+        _logger.info("%s", evaluated(frames, total, self.unit, seconds, self.metrics))
 
     def _watch(self) -> None:
         """Raises the alarm if the last row of the curve is the first of a fall."""

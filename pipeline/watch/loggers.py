@@ -35,7 +35,7 @@ class LoggingSettings:
     interval: Count = 500  # frames between logged scalars
     checkpoint_interval: Count = 10_000  # frames
     checkpoints: Count = 2  # the newest are kept: if the last is damaged, the one before serves
-    progress: bool = True
+    progress: bool = True  # a bar on stderr; a line for each phase is logged in any case
 
 
 class LoggerGroup(Logger):

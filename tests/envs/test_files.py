@@ -12,6 +12,7 @@ import torch
 from envs import EnvOptions, Task, find_task
 from envs.options import TaskOptions
 from envs.registry import imports_of, task_defaults
+from envs.user_files import import_file
 
 ENV = """
 import gymnasium
@@ -166,3 +167,18 @@ def test_what_is_imported_is_told_by_key():
     }
     assert imports_of("gymnasium:module:X-v0") == {"task.name": "module"}
     assert imports_of("gymnasium:X-v0") == imports_of("door") == {}
+
+
+def test_a_missing_module_of_one_of_our_names_tells_the_remedy(tmp_path):
+    (tmp_path / "envs").mkdir()
+    file = tmp_path / "envs" / "peg.py"
+    file.write_text("import envs.geometry\n")
+    with pytest.raises(ValueError, match="cannot import") as caught:
+        import_file(file, "TASK=peg.py", "path.py")
+    told = str(caught.value)
+    assert "No module named 'envs.geometry'" in told
+    assert f"PYTHONPATH={tmp_path} before the command, or start bcsac in {tmp_path}" in told
+    file.write_text("import no_such_thing\n")
+    with pytest.raises(ValueError, match="no_such_thing") as caught:
+        import_file(file, "TASK=peg.py", "path.py")
+    assert "PYTHONPATH" not in str(caught.value)

@@ -35,7 +35,7 @@ class FakeTrainer:
     def __init__(self) -> None:
         self.modules: dict[str, object] = {}
         self.ops: dict[str, list] = {}
-        self.collected_frames = 0
+        self.collected_frames, self.total_frames = 0, 1000
 
     def register_module(self, name: str, module: object) -> None:
         self.modules[name] = module
@@ -126,6 +126,15 @@ def frames_evaluated(
         if hook() is not None:
             evaluated.append(trainer.collected_frames)
     return evaluated
+
+
+def test_each_evaluation_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    caplog.set_level("INFO", "pipeline.hooks.evaluate")
+    told = [lambda: {"wall_s": 75.0}]
+    hook = EvaluationHook(FakeEvaluator(), None, 1, tmp_path / "c.jsonl", told, unit="updates")
+    hook.evaluate(2000)
+    # One of two episodes succeeds; returns 10 and 20.
+    assert caplog.messages == ["2,000 of 2,000 updates, 1 min 15 s: success 50 %, return 15"]
 
 
 def test_evaluations_come_in_step(trainer: FakeTrainer, tmp_path: Path):

@@ -55,8 +55,16 @@ def test_a_state_is_worth_its_discounted_rewards_to_go():
     # 30 / 300; 30 / 700 in two digits; what is worth 30 or less stays as it is.
     [(300.0, 0.1), (700.0, 0.043), (-300.0, 0.1), (30.0, 1.0), (0.5, 1.0), (0.0, 1.0)],
 )
-def test_good_states_come_to_be_worth_thirty(reward: float, scale: float):
+def test_good_states_come_to_be_worth_thirty(
+    reward: float, scale: float, caplog: pytest.LogCaptureFixture
+):
+    caplog.set_level("INFO", "pipeline.scale_choice")
     found, demos = with_chosen_scale(AUTO, demonstrations([reward], [reward]))
+    done = "used as they are" if scale == 1.0 else f"multiplied by {scale}, or imitation would"
+    (told,) = caplog.messages
+    assert told.startswith(f"rewards are {done}")
+    assert f"add up to {abs(reward):g}, discounted by loss.gamma=0.5" in told
+    assert "loss.reward_scale=" in told
     assert found == AUTO.changed(loss={"reward_scale": scale})
     assert demos is not None
     assert demos.rows["next", "reward"].flatten().tolist() == pytest.approx([reward * scale] * 2)

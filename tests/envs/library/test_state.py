@@ -221,4 +221,6 @@ def test_what_cannot_be_begun_again_stays_as_it_is(caplog):
         kept = find_task(name).resimulate([begun_midway, unknown])
     assert kept[0] is begun_midway
     assert kept[1] is unknown
-    assert "2 of 2 episodes are used as they were recorded" in caplog.text
+    assert "2 of 2 episodes are used as they were recorded, not played again" in caplog.text
+    assert "Record them with their start_seed" in caplog.text
+    assert "demos.resimulate=false" in caplog.text

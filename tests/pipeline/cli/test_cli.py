@@ -180,8 +180,10 @@ def test_record_makes_a_set_that_loads(command: Command, trained: Path, tmp_path
     out = tmp_path / "set.h5"
     code, printed, _ = command("record", trained, "--out", out, "--episodes", 3, "--attempts", 4)
     assert code == 0
-    assert str(out) in printed
     card = read_card(out)
+    assert printed.startswith(f"{card['admitted']} of {card['attempts']} episodes ")
+    assert f"; the first 3 are in {out}. Next: make demos-check DEMOS={out} TASK=door" in printed
+    assert len(printed.splitlines()) == 1
     assert (card["kept"], card["attempts"], card["policy"]["variant"]) == (3, 4, "bc_sac")
     loaded = load_demonstrations(out, TASK, num_threads=1)
     assert len(loaded.episodes) == 3
