@@ -89,8 +89,8 @@ def late_actor(recipe: Recipe) -> str | None:
     if not updates:
         return (
             f"nothing is learned in this run: all of its {recipe.collector.total_frames} frames "
-            f"are random actions (collector.random_frames={recipe.collector.random_frames}); collect "
-            "more (collector.total_frames) or lower collector.random_frames"
+            f"are random actions (collector.random_frames={recipe.collector.random_frames}); "
+            "collect more (collector.total_frames) or lower collector.random_frames"
         )
     if recipe.offline or 2 * delay < updates:
         return None

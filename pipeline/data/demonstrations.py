@@ -209,7 +209,9 @@ def make_demonstrations(
             f"demos.held_out must leave demonstrations to train on, got {demos.held_out} of "
             f"{len(loaded.episodes)} episodes."
         )
-    _logger.info("demonstrations: %d episodes, %s steps", count, f"{loaded.transitions:,}")
+    steps_kept = sum(episode.length for episode in loaded.episodes[:count])
+    apart = f" ({demos.held_out} more are held out)" if demos.held_out else ""
+    _logger.info("demonstrations: %d episodes, %s steps%s", count, f"{steps_kept:,}", apart)
     executed = demos.critic_action == "executed"
     rows = [to_rows(episode) for episode in to_tensordict(loaded.episodes, executed=executed)]
     return Demonstrations(

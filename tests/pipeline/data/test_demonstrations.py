@@ -64,3 +64,20 @@ def test_episodes_that_do_not_pass_are_left_out_and_counted_where_that_is_asked_
     write_npz(tmp_path / "n.npz", episodes[1:2])
     with pytest.raises(DemonstrationError, match="is 7"):
         loaded(skip_refused=True)
+
+
+def test_training_tells_what_it_trains_on(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    task = Task(name="toy", make_env=no_env, demos=SCHEMA)
+    episodes = [toy_episode(i) for i in range(3)]
+    path = write_npz(tmp_path / "n.npz", episodes)
+    with caplog.at_level(logging.INFO, "pipeline.data.demonstrations"):
+        loaded = make_demonstrations(
+            DemosSettings(source=str(path), held_out=1),
+            task,
+            TransitionRows(gamma=0.99),
+            cache_dir=tmp_path,
+            num_threads=1,
+        )
+    steps = episodes[0].length + episodes[1].length
+    assert caplog.messages[-1] == f"demonstrations: 2 episodes, {steps} steps (1 more are held out)"
+    assert len(loaded.episodes) == 2
