@@ -10,8 +10,8 @@ import typer
 
 from envs.registry import FORMS
 from pipeline.cli.options import Overrides, TaskName, changes, named_first
+from pipeline.files import again
 from pipeline.literals import TASK_KEY
-from pipeline.results import again
 
 
 def demos_check(
