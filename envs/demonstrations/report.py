@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
+from typing import Final
 
 import numpy as np
 from tabulate import tabulate
@@ -25,6 +26,9 @@ class ReplayError:
 
     median: float
     maximum: float
+
+
+CLIPPED: Final = "clipped entries"
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,9 @@ def report_episode(recorded: Episode, used: Episode, schema: DemoSchema) -> Epis
 def format_reports(reports: Sequence[EpisodeReport], unit: str = "") -> str:
     """The reports as a text table, one row per demonstration; what nobody knows is a dash.
 
+    A column in which nobody knows anything is left out, and that of clipped entries where there are
+    none.
+
     Args:
         reports: of one source.
         unit: of the task's progress.
@@ -108,12 +115,17 @@ def format_reports(reports: Sequence[EpisodeReport], unit: str = "") -> str:
     of_progress = f"progress [{unit}]" if unit else "progress"
     headers = (
         "source", "episode", "kind", "length", "return", "success", f"max {of_progress}",
-        f"recorded {of_progress}", "clipped entries", "replay error (median)",
+        f"recorded {of_progress}", CLIPPED, "replay error (median)",
         "replay error (max)", "reward agreement",
     )  # fmt: skip
     told = [astuple(row)[: len(headers)] for row in reports]
     rows = [["-" if _unknown(value) else value for value in row] for row in told]
-    return tabulate(rows, headers=headers, floatfmt=".3f")
+    shown = {
+        header: column
+        for header, *column in zip(headers, *rows, strict=True)
+        if any(value != "-" for value in column) and (header != CLIPPED or any(column))
+    }
+    return tabulate(shown, headers="keys", floatfmt=".3f")
 
 
 def saturated_share(episodes: Sequence[Episode], within: float = 0.01) -> float:

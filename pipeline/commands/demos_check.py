@@ -26,6 +26,8 @@ EVALUATION_STARTS: Final = 1000
 FIRST_OBSERVATIONS: Final = 64
 """Episodes that are begun to see where they do, for tasks whose starts are no numbers."""
 SHOWN_ENTRIES: Final = 10
+SHOWN_REFUSALS: Final = 3
+TO_KNOW: Final = "task.success=path.py:function says what it is, or terminated, or reward>=X"
 SATURATED: Final = 0.2
 """Share of entries at their bounds beyond which the imitation error deserves a thought."""
 
@@ -70,7 +72,9 @@ def check_demonstrations(
     refused: list[DemonstrationError] = []
     loaded = load_demonstrations(source, task, DemoOptions(resimulate=replayed), refused=refused)
     parts = [format_reports(loaded.reports, task.progress_unit)] if loaded.episodes else []
-    parts += [f"refused: {error}" for error in refused]
+    parts += [f"refused: {error}" for error in refused[:SHOWN_REFUSALS]]
+    if (further := len(refused) - SHOWN_REFUSALS) > 0:
+        parts.append(f"{further} more episodes are refused")
     if loaded.episodes:
         coverage = _coverage(task, loaded.episodes, env_options or EnvOptions())
         parts.append(_format_coverage(coverage))
@@ -106,7 +110,7 @@ def _summary(loaded: DemonstrationSet, refused: int) -> str:
     lines = [f"{loaded.source}: {usable} usable of {usable + refused} episodes"]
     if usable:
         told = [episode.succeeds for episode in loaded.episodes if episode.succeeds is not None]
-        success = f"{np.mean(told):.0%}" if told else "unknown"
+        success = f"{np.mean(told):.0%}" if told else f"unknown ({TO_KNOW})"
         lines[0] += f", {loaded.transitions:,} steps, success {success}"
         share = loaded.saturated_share
         advice = "; a squared imitation error suits them" if share > SATURATED else ""

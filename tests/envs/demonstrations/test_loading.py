@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,3 +64,17 @@ def test_table_has_a_row_per_demonstration(path: Path) -> None:
     assert "return" in lines[0]
     assert "nan" not in lines[2]
     assert f"{loaded.reports[1].max_progress:.3f}" in lines[3]
+
+
+def test_a_table_has_no_column_in_which_nothing_is_known(path: Path) -> None:
+    loaded = load_door(path, resimulate=False)
+    first, second = (replace(report, clipped_entries=0) for report in loaded.reports)
+    assert "replay error" not in format_reports([first, second])
+    assert "clipped" not in format_reports([first, second])
+    known = replace(second, clipped_entries=3, replay_error_median=0.25)
+    shown = format_reports([first, known]).splitlines()
+    assert "clipped entries" in shown[0]
+    assert "replay error (median)" in shown[0]
+    assert "replay error (max)" not in shown[0]
+    assert shown[2].split()[-3:-1] == ["0", "-"]
+    assert shown[3].split()[-3:-1] == ["3", "0.25"]

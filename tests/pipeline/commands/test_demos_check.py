@@ -86,6 +86,16 @@ def test_seeds_begin_episodes_and_say_nothing_of_where(tmp_path: Path):
     assert "start_seed" not in check.text
 
 
+def test_of_many_refusals_three_are_shown(tmp_path: Path):
+    episodes = [toy_episode(i) for i in range(6)]
+    for episode in episodes[1:]:
+        episode.actions[0, 1] = 7.0
+    starts = {"start/seat": np.full((6, 1), 0.5)}
+    check = check_demonstrations(str(write_npz(tmp_path / "n.npz", episodes, **starts)), TASK)
+    assert check.text.count("refused: ") == 3
+    assert "2 more episodes are refused" in check.text
+
+
 def test_nothing_usable(tmp_path: Path):
     check = check_demonstrations(str(seated(tmp_path / "n.npz", [0.2], bad=0)), TASK)
     assert check.usable == 0
