@@ -59,6 +59,7 @@ def two_seeds(tmp_path: Path) -> Report:
 def test_seeds_of_one_recipe_are_a_row(two_seeds: Report):
     found = line(two_seeds, "results", "dbc_sac")
     assert (found["seeds"], found["episodes"]) == ("2", "10")
+    assert list(found)[:3] == ["row", "success", "success at the end"]  # all that a phone shows
 
 
 def test_runs_of_other_recipes_are_called_after_what_differs(tmp_path: Path):
