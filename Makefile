@@ -313,12 +313,13 @@ export of_this_checkout
 # An environment imports one checkout: installing another into it would change what its owner runs.
 $(STAMP): pyproject.toml constraints.txt | $(VENV_PYTHON)
 	@$(VENV_PYTHON) -c "$$of_this_checkout"
-	@echo "installing into $(VENV) (the first time takes some minutes)"
+	@echo "installing into $(VENV): torch first, then everything else (2.7 GB; the first time takes minutes)"
 	@$(VENV_PYTHON) -c 'import sys, importlib.metadata as m; \
 	sys.exit(m.version("torch").split("+")[0] != "$(TORCH_VERSION)")' 2>/dev/null \
 	|| { test -n "$(TORCH_BUILD)" && \
 	     $(PIP) install -qq "torch==$(TORCH_VERSION)+$(TORCH_BUILD)" -c constraints.txt 2>/dev/null; } \
 	|| $(PIP) install -qq "torch==$(TORCH_VERSION)" -c constraints.txt
+	@echo "torch $(TORCH_VERSION) is there; now everything else of $(EXTRAS)"
 	@$(PIP) uninstall -qqy bc-sac-door  # the distribution's name before it was bc-sac
 	@$(PIP) install -qq -c constraints.txt -e ".$(if $(EXTRAS),[$(EXTRAS)])"
 	@$(PIP) check
