@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections import defaultdict, deque
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -88,7 +89,9 @@ class Run:
             with self.time_use.part(OTHER):
                 if self.begin is not None and self.trainer.collected_frames == 0:
                     self.begin()
-                with logging_redirect_tqdm():  # lines stand above the bar, not in it
+                # Lines stand above the bar, not in it.
+                bar = logging_redirect_tqdm() if self.trainer.progress_bar else nullcontext()
+                with bar:
                     self.trainer.train()
                 with self.time_use.part(CHECKPOINT):
                     self.sealing.settle()
