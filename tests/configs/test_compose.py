@@ -282,7 +282,7 @@ def test_an_old_bound_on_the_angle_took_the_place_of_success():
 
 
 def test_every_old_name_is_one_of_a_published_policy():
-    published = [flatten(yaml.safe_load((p / CONFIG).read_text())) for p in POLICIES.iterdir()]
+    published = [flatten(yaml.safe_load(path.read_text())) for path in POLICIES.rglob(CONFIG)]
     for old in RENAMED:
         assert any(old in values for values in published), old
 
