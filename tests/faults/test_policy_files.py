@@ -17,7 +17,7 @@ from pipeline.run_dir import load_recipe, save_recipe
 from tests.faults.damaging import empty, truncate
 from tests.pipeline.resuming import differences
 
-POLICIES = sorted(path.parent for path in Path("docs/results/policies").glob(f"*/{WEIGHTS}"))
+POLICIES = sorted(path.parent for path in Path("docs/results/policies").rglob(WEIGHTS))
 
 
 @pytest.fixture
@@ -30,7 +30,8 @@ def exported(finished: Path, tmp_path: Path) -> Path:
 
 
 def read(folder: Path) -> tuple[dict[str, torch.Tensor], int]:
-    policy, origin = load_policy(load_recipe(folder), TASK, folder)
+    recipe = load_recipe(folder)
+    policy, origin = load_policy(recipe, recipe.find_task(), folder)
     return policy.state_dict(), origin.frames
 
 
@@ -105,7 +106,7 @@ def test_files_of_before_are_read_without_a_checksum(exported: Path):
     assert differences(read(exported)[0], expected[0]) == []
 
 
-@pytest.mark.parametrize("folder", POLICIES, ids=lambda folder: folder.name)
+@pytest.mark.parametrize("folder", POLICIES, ids=str)
 def test_published_policies_are_read(folder: Path):
     state, _ = read(folder)
     assert all(torch.isfinite(tensor).all() for tensor in state.values())
