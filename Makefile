@@ -180,7 +180,7 @@ bench: ## measure speed and memory against other packages [SECTION="update loop"
 
 .PHONY: test
 test: $(STAMP) ## run the tests [ARGS="-k name" or "-m slow" or a path]
-	@OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV_PYTHON) -m pytest -q -n auto --maxprocesses 4 $(ARGS)
+	@OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV_PYTHON) -m pytest -q -n auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 .PHONY: torture
 torture: $(STAMP) ## damage the files of a run and of others, kill runs, and count what comes of it [SEED=0] [KILLS=200] [FILES=1000]

@@ -85,7 +85,10 @@ def test_there_are_trainings_to_compose():
 def test_what_make_train_is_given_is_a_recipe(words: list[str]):
     """As make hands it on; of a sweep, the first value of each key."""
     asked = subprocess.run(
-        ["make", "-n", *words[1:], "VENV=nowhere"], cwd=ROOT, capture_output=True, text=True
+        ["make", "--no-print-directory", "-n", *words[1:], "VENV=nowhere"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
     )
     (line,) = [line for line in asked.stdout.splitlines() if "pipeline.train" in line]
     assert asked.stdout.endswith(f"{line}\n"), "what follows is run as another command"
