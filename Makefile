@@ -22,6 +22,8 @@ RUN_PYTHON = $(VENV_PYTHON) -u
 comma := ,
 STAMP := $(VENV)/.installed-$(subst $(comma),-,$(EXTRAS))
 PIP := $(VENV_PYTHON) -m pip --disable-pip-version-check
+# Tests start make, which shall not be given what this one was.
+APART := env -u MAKEFLAGS -u MFLAGS -u MAKELEVEL -u ARGS
 LOWEST := .venv-lowest
 AUDIT := .venv-audit
 LOWEST_PIP = $(LOWEST)/bin/python -m pip --disable-pip-version-check install -qq
@@ -180,7 +182,7 @@ bench: ## measure speed and memory against other packages [SECTION="update loop"
 
 .PHONY: test
 test: $(STAMP) ## run the tests [ARGS="-k name" or "-m slow" or a path]
-	@OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV_PYTHON) -m pytest -q -n auto --maxprocesses 4 --dist worksteal $(ARGS)
+	@$(APART) OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 $(VENV_PYTHON) -m pytest -q -n auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 .PHONY: torture
 torture: $(STAMP) ## damage the files of a run and of others, kill runs, and count what comes of it [SEED=0] [KILLS=200] [FILES=1000]
