@@ -28,9 +28,10 @@ from envs import find_task
 from envs.adroit.scene import HandScene
 from envs.adroit.starts import placement_of
 from envs.door.hand import DOOR, DOOR_POSITION, build_scene
-from pipeline import components
 from pipeline.cloning import behaviour_cloned
+from pipeline.conversion import make_rows
 from pipeline.data.demonstrations import make_demonstrations
+from pipeline.playing import make_evaluator
 from pipeline.recipe import Recipe
 
 BC_UPDATES = 1_000
@@ -112,12 +113,12 @@ def compare(doors: int, rounds: int) -> dict[str, Any]:
         demos = make_demonstrations(
             recipe.demos,
             task,
-            components.make_rows(recipe),
+            make_rows(recipe),
             cache_dir=Path(folder),
             num_threads=threads,
         )
         policy = behaviour_cloned(recipe, task, demos)
-    evaluator = components.make_evaluator(recipe, task, episodes=doors)
+    evaluator = make_evaluator(recipe, task, episodes=doors)
     recorder = Recorder(policy)
     rollouts = evaluator.run(recorder)
     episodes = by_episode(recorder.actions, rollouts.lengths, min(evaluator.batch, doors))

@@ -15,16 +15,19 @@ from benchmarks.baselines import finish
 from configs import compose
 from envs import find_task
 from envs.door.task import ACTION_SIZE, OBSERVATION_SIZE
-from pipeline import components
-from pipeline.compute import hidden_dtype, resolve_compute
+from pipeline.compute import resolve_compute
+from pipeline.conversion import make_rows
 from pipeline.data.buffers import DemonstrationDistribution, make_buffer, make_core_buffer
 from pipeline.data.mixture import DRAWS, BatchPart, Mixture
 from pipeline.data.rows import TransitionRows
+from pipeline.files.time_use import TimeUse
 from pipeline.hooks import DemoUpdateHook
 from pipeline.learn.stepper import BCSACStepper
+from pipeline.learner import make_learner
 from pipeline.machine.products import use_onednn
+from pipeline.playing import make_training_env
 from pipeline.recipe import Recipe
-from pipeline.updates import actor_updates, updates_per_portion
+from pipeline.updates import updates_per_portion
 
 EPISODE = 200
 """Steps of the made-up episodes that fill the buffers."""
@@ -48,16 +51,13 @@ def paper_size(variant: str, width: int, batch: int) -> list[str]:
 
 
 def make_stepper(recipe: Recipe) -> BCSACStepper:
-    """The networks, the loss and the stepper of a run with this (decided) configuration."""
-    env = components.make_training_env(recipe, find_task(recipe.task.name))
-    dtype = hidden_dtype(recipe)
-    actor = components.make_policy(recipe.actor, env, None, recipe.device, dtype)
-    critic = components.make_critic(recipe.critic, env, None, recipe.device, dtype)
+    """The step of a run with this (decided) configuration; nothing is cloned first."""
+    task = find_task(recipe.task.name)
+    env = make_training_env(recipe, task)
+    from_nothing = recipe.changed(pretrain=False)
+    learner = make_learner(from_nothing, task, env, None, recipe.sampler.batch_size, TimeUse())
     env.close()
-    updates = actor_updates(recipe)
-    rows = recipe.sampler.batch_size
-    loss = components.make_loss(recipe.loss, actor, critic, ACTION_SIZE, updates, main_rows=rows)
-    return components.make_stepper(recipe, loss)
+    return learner.stepper
 
 
 def random_rows(count: int, to_rows: TransitionRows) -> TensorDict:
@@ -98,7 +98,7 @@ class Updater:
         self, recipe: Recipe, *, replay_rows: int, demo_rows: int, updates: int, frame: bool
     ) -> None:
         self.stepper = make_stepper(recipe)
-        to_rows = components.make_rows(recipe)
+        to_rows = make_rows(recipe)
         main = make_buffer(replay_rows, recipe.device)
         for first in range(0, replay_rows, CHUNK):
             main.extend(random_rows(min(CHUNK, replay_rows - first), to_rows))

@@ -9,8 +9,8 @@ from typing import Any
 from benchmarks import ours
 from benchmarks.worker import peak_resident_mib
 from configs import compose
-from pipeline import components
 from pipeline.build import build_run
+from pipeline.conversion import make_rows
 from pipeline.recipe import Recipe
 
 FIRST_UPDATES = 10
@@ -35,7 +35,7 @@ def train_and_weigh(overrides: list[str], buffer_frames: int) -> dict[str, float
         build_run(recipe, f"{folder}/run").train()
         # Storage is mapped at once but becomes resident as rows are written.
         unwritten = max(0, buffer_frames - recipe.collector.total_frames)
-        row = ours.random_rows(ours.EPISODE, components.make_rows(recipe)).bytes()
+        row = ours.random_rows(ours.EPISODE, make_rows(recipe)).bytes()
     return {
         "imports_mib": imports,
         "peak_mib": peak_resident_mib(),

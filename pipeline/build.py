@@ -11,9 +11,9 @@ from pathlib import Path
 import torch
 
 from envs import Task
-from pipeline import components
 from pipeline.cloning import behaviour_cloned, build_offline
 from pipeline.compute import resolve_compute
+from pipeline.conversion import make_episode_rows
 from pipeline.data.demonstrations import Demonstrations, make_demonstrations
 from pipeline.entropy_choice import with_chosen_entropy
 from pipeline.files.checkpoint import load_trainer, trained_frames
@@ -143,7 +143,7 @@ def _demonstrations(recipe: Recipe, task: Task) -> Demonstrations | None:
     return make_demonstrations(
         recipe.demos,
         task,
-        components.make_episode_rows(recipe),
+        make_episode_rows(recipe),
         cache_dir=Path(recipe.cache_dir),
         num_threads=recipe.env.num_threads,
     )

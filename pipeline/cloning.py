@@ -12,11 +12,10 @@ from filelock import FileLock
 from torchrl.modules import ProbabilisticActor
 
 from envs import Task
-from pipeline import components
 from pipeline.act.policy_wrappers import acting_policy, unwrapped
 from pipeline.compute import hidden_dtype, replays_updates
 from pipeline.data.buffers import DemonstrationDistribution, make_core_buffer
-from pipeline.data.demonstrations import Demonstrations
+from pipeline.data.demonstrations import Demonstrations, make_normalizer
 from pipeline.data.mixture import DRAWS, BatchPart, Mixture
 from pipeline.files.checkpoint import (
     load_component,
@@ -30,10 +29,14 @@ from pipeline.files.simulator_steps import ExtraSimulatorSteps
 from pipeline.files.sums import DamagedError
 from pipeline.files.time_use import TimeUse
 from pipeline.hooks import UpdatesHook
+from pipeline.learn.critics import make_critic
 from pipeline.learn.imitation import ImitationStepper
+from pipeline.learn.loss import make_loss
+from pipeline.learn.networks import make_policy
 from pipeline.machine.interruption import StopRequest
 from pipeline.machine.random_state import kept_random_state
 from pipeline.offline import OfflineStream
+from pipeline.playing import make_training_env
 from pipeline.recipe import Recipe
 from pipeline.run_dir import create_run_dir
 from pipeline.settings import plain
@@ -54,15 +57,15 @@ def build_offline(
             "offline=true trains on demonstrations alone, and sampler.own_sources would not be "
             "drawn from: leave it out, or set offline=false."
         )
-    env = components.make_training_env(recipe, task)
-    normalizer = components.make_normalizer(recipe.actor, demos)
+    env = make_training_env(recipe, task)
+    normalizer = make_normalizer(recipe.actor, demos)
     dtype = hidden_dtype(recipe)
-    actor = components.make_policy(recipe.actor, env, normalizer, recipe.device, dtype)
+    actor = make_policy(recipe.actor, env, normalizer, recipe.device, dtype)
     chunk = recipe.actor.chunk
-    critic = components.make_critic(recipe.critic, env, None, recipe.device, chunk=chunk)
+    critic = make_critic(recipe.critic, env, None, recipe.device, chunk=chunk)
     updates = actor_updates(recipe)
     actions = chunk * env.action_spec.shape[-1]
-    loss = components.make_loss(recipe.loss, actor, critic, actions, updates)
+    loss = make_loss(recipe.loss, actor, critic, actions, updates)
     policy = acting_policy(actor, chunk)
     env.close()
     core = DemonstrationDistribution(make_core_buffer(demos.rows, recipe.device))

@@ -12,15 +12,18 @@ from torchrl.modules import ProbabilisticActor
 
 from envs import Task
 from losses import BCSACLoss, Proposal
-from pipeline import components
 from pipeline.act.exploration import PartlyGreedyPolicy
 from pipeline.act.policy_wrappers import acting_policy
 from pipeline.cloning import behaviour_cloned
-from pipeline.compute import hidden_dtype
-from pipeline.data.demonstrations import Demonstrations
+from pipeline.compute import hidden_dtype, replays_updates
+from pipeline.conversion import make_emphasis
+from pipeline.data.demonstrations import Demonstrations, make_normalizer
 from pipeline.files.time_use import TimeUse
 from pipeline.hooks import ActorAverageHook
-from pipeline.learn.stepper import BCSACStepper
+from pipeline.learn.critics import make_critic
+from pipeline.learn.loss import make_loss
+from pipeline.learn.networks import make_policy
+from pipeline.learn.stepper import BCSACStepper, UpdateSchedule
 from pipeline.recipe import Recipe
 from pipeline.updates import actor_updates, main_updates
 
@@ -88,20 +91,20 @@ def make_learner(
     Its batches have ``main_rows`` rows before those that are demonstrations.
     """
     dtype, chunk = hidden_dtype(recipe), recipe.actor.chunk
-    normalizer = components.make_normalizer(recipe.actor, demos)
-    actor = components.make_policy(recipe.actor, env, normalizer, recipe.device, dtype)
-    normalizer = components.make_normalizer(recipe.critic, demos)
-    critic = components.make_critic(recipe.critic, env, normalizer, recipe.device, dtype, chunk)
+    normalizer = make_normalizer(recipe.actor, demos)
+    actor = make_policy(recipe.actor, env, normalizer, recipe.device, dtype)
+    normalizer = make_normalizer(recipe.critic, demos)
+    critic = make_critic(recipe.critic, env, normalizer, recipe.device, dtype, chunk)
     cloned = partial(behaviour_cloned, recipe, task, demos, time_use)
     proposal = recipe.proposal.of(cloned()) if recipe.proposal.used else None
-    loss = components.make_loss(
+    loss = make_loss(
         recipe.loss,
         actor,
         critic,
         chunk * env.action_spec.shape[-1],
         actor_updates(recipe),
         main_rows=main_rows,
-        bc_emphasis=components.make_emphasis(recipe),
+        bc_emphasis=make_emphasis(recipe),
         proposal=proposal if recipe.proposal.bootstrap else None,
     )
     if recipe.pretrain:
@@ -111,9 +114,30 @@ def make_learner(
         recipe,
         actor,
         loss,
-        components.make_stepper(recipe, loss),
+        make_stepper(recipe, loss),
         None if decay is None else ActorAverageHook(actor, decay),
         proposal if recipe.proposal.acting else None,
+    )
+
+
+def make_stepper(recipe: Recipe, loss: BCSACLoss) -> BCSACStepper:
+    """What one optimization step of the run does."""
+    optim = recipe.optim
+    return BCSACStepper(
+        loss,
+        actor_lr=optim.actor_lr,
+        critic_lr=optim.critic_lr,
+        temperature_lr=optim.temperature_lr,
+        schedule=UpdateSchedule(
+            actor_period=optim.actor_period,
+            target_period=optim.target_period,
+            actor_delay=optim.actor_delay,
+            diagnostics_period=optim.diagnostics_period,
+        ),
+        max_grad_norm=optim.max_grad_norm,
+        anneal_updates=actor_updates(recipe) if optim.anneal_actor else None,
+        cuda_graphs=replays_updates(recipe),
+        compile_updates=bool(recipe.compile_updates),
     )
 
 

@@ -12,7 +12,6 @@ from torchrl.trainers import Trainer
 
 from envs import Task
 from envs.steps import counted_steps
-from pipeline import components
 from pipeline.act.chosen_starts import BEGUN_AT, ChosenStartsEnv
 from pipeline.act.portion_collector import PortionCollector, PortionCut
 from pipeline.data.curriculum import CurriculumEpisodes, ReverseCurriculum
@@ -32,6 +31,7 @@ from pipeline.hooks import (
 from pipeline.judgement import check_clone
 from pipeline.learner import Learner, make_learner
 from pipeline.machine.interruption import StopRequest
+from pipeline.playing import make_curriculum, make_training_env
 from pipeline.recipe import Recipe
 from pipeline.sources import (
     Sources,
@@ -95,8 +95,8 @@ def _environment(
     recipe: Recipe, task: Task, demos: Demonstrations | None
 ) -> tuple[EnvBase, list[ReverseCurriculum]]:
     """The collector's environment, and the curriculum that begins its episodes, or none."""
-    env = components.make_training_env(recipe, task)
-    curriculum = components.make_curriculum(recipe, task, env, demos)
+    env = make_training_env(recipe, task)
+    curriculum = make_curriculum(recipe, task, env, demos)
     begin = None if curriculum is None else curriculum.begin
     # An actor of chunks has to know when episodes begin.
     if begin is not None or recipe.actor.chunk > 1:

@@ -15,7 +15,6 @@ from torchrl.modules import ProbabilisticActor
 
 from envs import Task
 from envs.whole_files import whole_file
-from pipeline import components
 from pipeline.act.policy_wrappers import acting_policy
 from pipeline.compute import hidden_dtype
 from pipeline.files.checkpoint import (
@@ -26,7 +25,13 @@ from pipeline.files.checkpoint import (
 )
 from pipeline.files.run_format import require_plain
 from pipeline.files.sums import DamagedError
-from pipeline.learn.networks import ActorSettings, CriticSettings, ObservationNormalizer
+from pipeline.learn.critics import make_critic
+from pipeline.learn.networks import (
+    ActorSettings,
+    CriticSettings,
+    ObservationNormalizer,
+    make_policy,
+)
 from pipeline.recipe import Recipe
 
 WEIGHTS = "policy.safetensors"
@@ -85,11 +90,11 @@ def _untrained(recipe: Recipe, env: EnvBase) -> TensorDictModuleBase:
 
     def actor() -> ProbabilisticActor:
         own = normalizer(recipe.actor)
-        return components.make_policy(recipe.actor, env, own, device, dtype)
+        return make_policy(recipe.actor, env, own, device, dtype)
 
     if not recipe.proposal.acting:
         return acting_policy(actor(), recipe.actor.chunk)
-    critic = components.make_critic(
+    critic = make_critic(
         recipe.critic, env, normalizer(recipe.critic), device, dtype, recipe.actor.chunk
     )
     proposal = recipe.proposal.of(actor())

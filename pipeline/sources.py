@@ -11,7 +11,7 @@ from torchrl.data import TensorDictReplayBuffer
 
 from envs import Task
 from envs.steps import counted_steps
-from pipeline import components
+from pipeline.conversion import make_episode_rows, make_rows
 from pipeline.data.buffers import DemonstrationDistribution, GrownDemonstrations, make_buffer
 from pipeline.data.demonstrations import Demonstrations
 from pipeline.data.mixture import DRAWS, BatchPart, Mixture
@@ -77,7 +77,7 @@ def make_own_sources(
     Raises:
         ValueError: If one cannot be made.
     """
-    keys = components.make_rows(recipe).keys
+    keys = make_rows(recipe).keys
     context = SourceContext(main, demos, keys, torch.device(recipe.device))
     return own_sources(recipe.sampler.own_sources, context)
 
@@ -103,8 +103,8 @@ def make_sources(
     Raises:
         ValueError: If a share in the configuration cannot be.
     """
-    to_rows = components.make_rows(recipe)
-    episode_rows = components.make_episode_rows(recipe)
+    to_rows = make_rows(recipe)
+    episode_rows = make_episode_rows(recipe)
     with counted_steps() as rolled_out:
         grown, distribution = demonstration_distribution(
             recipe, task, demos, episode_rows, time_use

@@ -18,7 +18,6 @@ from torchrl.trainers import Trainer
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 from envs import Task
-from pipeline import components
 from pipeline.files.background import BackgroundWork
 from pipeline.files.curves import WALL_S
 from pipeline.files.rotation import make_rotation
@@ -28,6 +27,7 @@ from pipeline.hooks import EvaluationHook, PortionGuard, ProgressHook, UpdatesHo
 from pipeline.machine.disk import with_room
 from pipeline.machine.interruption import StopRequest
 from pipeline.non_finite import NonFiniteError
+from pipeline.playing import make_evaluator
 from pipeline.recipe import Recipe
 from pipeline.watch.loggers import make_loggers
 
@@ -151,7 +151,7 @@ def make_evaluation_hook(
 
     Each row holds the metrics, the wall time so far (``wall_s``) and the ``diagnostics``.
     """
-    evaluator = components.make_evaluator(
+    evaluator = make_evaluator(
         recipe, task, episodes=recipe.evaluation.interval_episodes, keep_env=True
     )
     evaluator = replace(evaluator, between_steps=stop.leave)

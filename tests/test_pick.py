@@ -14,7 +14,7 @@ from envs.demonstrations import load_demonstrations
 from envs.demonstrations.loading import DemoOptions
 from envs.intervals import wilson
 from pipeline.build import build_run
-from pipeline.components import make_evaluator
+from pipeline.playing import make_evaluator
 from tests.toys import pick
 
 FILE = str(Path(pick.__file__))

@@ -13,9 +13,10 @@ from envs import EnvOptions, find_task
 from envs.task import MissingCapabilityError
 from pipeline.build import build_run
 from pipeline.cloning import behaviour_cloned
-from pipeline.components import make_curriculum, make_rows
+from pipeline.conversion import make_rows
 from pipeline.data.demonstrations import Demonstrations, make_demonstrations
 from pipeline.data.rows import ROW_KEYS
+from pipeline.playing import make_curriculum
 from pipeline.policy import load_policy
 from pipeline.recipe import Recipe
 from pipeline.trainer import Run

@@ -21,8 +21,8 @@ from torch import Tensor
 from envs import find_task
 from envs.door import task as door
 from envs.registry import OURS
-from pipeline import components
 from pipeline.files.run_files import as_json, versions, write_atomically
+from pipeline.playing import make_evaluator
 from pipeline.recipe import Recipe
 
 FILE: Final = Path(__file__).parents[1] / "results" / "tasks" / "reference.json"
@@ -75,7 +75,7 @@ def measure(folder: Path, task: str, reward: str) -> dict[str, Any]:
     found = recipe.find_task()
     with np.load(folder / f"{task}.npz") as weights:
         policy = Published(dict(weights), BEHIND.get(task))
-    evaluator = components.make_evaluator(recipe, found, episodes=recipe.evaluation.episodes)
+    evaluator = make_evaluator(recipe, found, episodes=recipe.evaluation.episodes)
     acting = TensorDictModule(policy, ["observation"], ["action"])
     return evaluator.metrics(evaluator.run(acting))
 

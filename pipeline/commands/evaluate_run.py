@@ -9,13 +9,13 @@ from typing import Any
 
 from envs import Task
 from envs.demonstrations.sources import BUNDLED
-from pipeline import components
 from pipeline.act.recorder import Together
 from pipeline.commands.extras import AskedFor, Subject
 from pipeline.commands.extras.strategies import StrategiesAsked
 from pipeline.compute import require_device
 from pipeline.files.run_files import versions
 from pipeline.files.simulator_steps import ExtraSimulatorSteps
+from pipeline.playing import make_evaluator
 from pipeline.policy import PolicyOrigin, load_policy
 from pipeline.recipe import Recipe
 from pipeline.results.evaluation_files import RunEvaluation, episode_columns, progress_columns
@@ -59,7 +59,7 @@ def run_evaluation(
     subject = Subject(recipe, task, policy)
     told = [extra for asked in extras if (extra := asked(subject)) is not None]
     options = {key: value for extra in told for key, value in extra.env_options.items()}
-    evaluator = components.make_evaluator(recipe, task, episodes=count, **options)
+    evaluator = make_evaluator(recipe, task, episodes=count, **options)
     rollouts = evaluator.run(policy, Together([extra.recorder for extra in told]))
     metrics = dict(evaluator.metrics(rollouts))
     columns = episode_columns(task, rollouts, recipe.evaluation.seed)

@@ -8,10 +8,10 @@ from itertools import count
 from pathlib import Path
 
 from envs.pictures import HUMAN, SCREENS, Render, RenderingUnavailableError, without_screen
-from pipeline import components
 from pipeline.act.evaluation import reset_td
 from pipeline.film.choice import Choice
 from pipeline.film.performers import LoadedRun
+from pipeline.playing import make_evaluator
 from pipeline.policy import load_policy
 
 
@@ -57,7 +57,7 @@ def play(
     try:
         with render.window(env) as window:
             policy, _ = load_policy(recipe, task, run_dir)
-            evaluator = components.make_evaluator(recipe, task, episodes=1)
+            evaluator = make_evaluator(recipe, task, episodes=1)
             with evaluator.acting(policy) as acting:
                 for number in numbers:
                     td = env.reset(reset_td(task, env, recipe.evaluation.seed, number))

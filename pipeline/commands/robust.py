@@ -13,10 +13,10 @@ from envs import Task
 from envs.disturbed import disturbed, moved
 from envs.disturbing import Box, Disturbance, Factor
 from envs.intervals import wilson
-from pipeline import components
 from pipeline.act.evaluation import Evaluator
 from pipeline.commands.evaluate_run import made_from
 from pipeline.compute import require_device
+from pipeline.playing import make_evaluator
 from pipeline.policy import load_policy
 from pipeline.results.robustness import BAR, EPISODES, Ladder, Measured, Robustness
 from pipeline.run_dir import load_recipe
@@ -94,7 +94,7 @@ def robustness(
     policy, origin = load_policy(recipe, task, run_dir)
 
     def measured(setting: str, changed: Task) -> Measured:
-        evaluator = components.make_evaluator(recipe, changed, episodes=episodes)
+        evaluator = make_evaluator(recipe, changed, episodes=episodes)
         found = _measure(setting, evaluator, policy)
         report(f"{setting}: {found.text}")
         return found

@@ -26,7 +26,7 @@ from envs.demonstrations.findings import Kind
 from envs.steps import counted_steps
 from pipeline.data.returns import TO_END
 from pipeline.data.rows import TransitionRows
-from pipeline.learn.networks import ObservationNormalizer
+from pipeline.learn.networks import ActorSettings, CriticSettings, ObservationNormalizer
 from pipeline.settings import STRICT, Count, Multiple, NotNegative, Positive, Rate, Seed, Share
 
 _logger = logging.getLogger(__name__)
@@ -152,6 +152,25 @@ class Demonstrations:
         # Of a single row, torch's estimate of the deviation is 0/0.
         std = observation.std(0) if len(observation) > 1 else torch.zeros_like(observation[0])
         return ObservationNormalizer(observation.mean(0), std)
+
+
+def make_normalizer(
+    part: ActorSettings | CriticSettings, demos: Demonstrations | None
+) -> ObservationNormalizer | None:
+    """The standardisation that a network asks for, from the statistics of the demonstrations.
+
+    Raises:
+        ValueError: If one is asked for but there are no demonstrations.
+    """
+    if not part.normalise_observations:
+        return None
+    if demos is None:
+        raise ValueError(
+            "normalise_observations=true needs demonstrations, whose statistics it uses, but this "
+            "composition has none: set actor.normalise_observations=false and "
+            "critic.normalise_observations=false."
+        )
+    return demos.normalizer()
 
 
 def _rewarded(rows: TensorDictBase, factor: float) -> TensorDictBase:

@@ -16,10 +16,10 @@ from tensordict import TensorDictBase
 from envs import Task
 from envs.demonstrations import DemoOptions, Episode, load_demonstrations
 from envs.pictures import RGB, Picture, Render
-from pipeline import components
 from pipeline.act.evaluation import Acting, reset_td
 from pipeline.files.run_files import CONFIG
 from pipeline.film.takes import Moment, Studio
+from pipeline.playing import make_evaluator
 from pipeline.policy import load_policy
 from pipeline.recipe import Recipe
 from pipeline.run_dir import load_recipe
@@ -107,7 +107,7 @@ class PolicyPerformer:
         def opened(picture: Picture, every: int) -> Iterator[Performer]:
             with studio(run, run.recipe.env.horizon, picture, every) as ready:
                 policy, _ = load_policy(run.recipe, run.task, run.path)
-                evaluator = components.make_evaluator(run.recipe, run.task, episodes=1)
+                evaluator = make_evaluator(run.recipe, run.task, episodes=1)
                 with evaluator.acting(policy) as acting:
                     yield cls(run, ready, acting)
 

@@ -11,8 +11,9 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
+from torchrl.envs import EnvBase
 
-from pipeline.learn.networks import HiddenLayers, ObservationNormalizer
+from pipeline.learn.networks import CriticSettings, HiddenLayers, ObservationNormalizer
 
 
 class EnsembleLinear(nn.Module):
@@ -115,3 +116,23 @@ class BatchedCritics(nn.Module):
             return functional_call(self, chosen, (observation, action))
         x = torch.cat([self.normalizer(observation), action], dim=-1)
         return self.head(self.hidden(x.expand(len(self.head.weight), *x.shape)))
+
+
+def make_critic(
+    critic: CriticSettings,
+    env: EnvBase,
+    normalizer: ObservationNormalizer | None,
+    device: str,
+    hidden_dtype: torch.dtype | None = None,
+    chunk: int = 1,
+) -> BatchedCritics:
+    """The critic ensemble for the spaces of ``env``, of so many actions at once."""
+    return BatchedCritics(
+        env.observation_spec["observation"].shape[-1],
+        chunk * env.action_spec.shape[-1],
+        critic.hidden,
+        critic.num_critics,
+        layer_norm=critic.layer_norm,
+        normalizer=normalizer,
+        hidden_dtype=hidden_dtype,
+    ).to(device)

@@ -12,6 +12,7 @@ import torch
 from pydantic.dataclasses import dataclass as settings
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
+from torchrl.envs import EnvBase
 from torchrl.modules import MLP, ProbabilisticActor
 
 from losses import SquashedNormal
@@ -160,6 +161,26 @@ def make_actor(
         distribution_class=SquashedNormal,
         return_log_prob=False,
     )
+
+
+def make_policy(
+    actor: ActorSettings,
+    env: EnvBase,
+    normalizer: ObservationNormalizer | None,
+    device: str,
+    hidden_dtype: torch.dtype | None = None,
+) -> ProbabilisticActor:
+    """The actor for the spaces of ``env``."""
+    return make_actor(
+        env.observation_spec["observation"].shape[-1],
+        actor.chunk * env.action_spec.shape[-1],
+        actor.hidden,
+        log_std_min=actor.log_std_min,
+        log_std_max=actor.log_std_max,
+        layer_norm=actor.layer_norm,
+        normalizer=normalizer,
+        hidden_dtype=hidden_dtype,
+    ).to(device)
 
 
 def orthogonal_(module: nn.Module, gain: float = 1.0) -> None:

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from pipeline.commands.evaluate_run import evaluate_run
-from pipeline.components import make_evaluator
 from pipeline.machine.random_state import kept_random_state
+from pipeline.playing import make_evaluator
 from pipeline.trainer import Run
 from tests.pipeline.resuming import (
     curve_of,

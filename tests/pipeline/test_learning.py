@@ -12,7 +12,7 @@ from scipy.stats import permutation_test
 
 from configs import compose
 from pipeline.build import build_run
-from pipeline.components import make_evaluator
+from pipeline.playing import make_evaluator
 from tests.toys import reach
 
 

@@ -10,9 +10,9 @@ import yaml
 
 from configs import compose
 from envs.disturbed import DisturbedEnv
-from pipeline import components
 from pipeline.commands.evaluate_run import evaluate_run
 from pipeline.files.run_files import RunDirectoryError
+from pipeline.playing import make_training_env
 from pipeline.recipe import Recipe
 from tests.pipeline.resuming import curve_of, differences, everything, whole_and_halved
 from tests.pipeline.toys import built, tiny_config, where
@@ -59,7 +59,7 @@ def test_evaluations_play_the_task_as_it_is(tmp_path: Path, demos: Path):
 def test_it_is_off_by_default():
     recipe = compose("variant=best")
     assert not recipe.task.randomise.disturbance
-    env = components.make_training_env(recipe, recipe.find_task())
+    env = make_training_env(recipe, recipe.find_task())
     assert not isinstance(env, DisturbedEnv)
 
 

@@ -17,7 +17,7 @@ from pipeline.budget import CollectorSettings
 from pipeline.build import build_run
 from pipeline.cloning import behaviour_cloned
 from pipeline.commands.evaluate_run import evaluate_run
-from pipeline.components import make_rows, make_training_env
+from pipeline.conversion import make_rows
 from pipeline.data.demonstrations import Demonstrations, DemosSettings, make_demonstrations
 from pipeline.data.mixture import SamplerSettings
 from pipeline.files.run_files import (
@@ -30,6 +30,7 @@ from pipeline.files.run_files import (
 from pipeline.learn.networks import ActorSettings, CriticSettings
 from pipeline.learn.objective import LossSettings
 from pipeline.learn.weights import WeightSettings
+from pipeline.playing import make_training_env
 from pipeline.policy import load_policy
 from pipeline.recipe import EnvSettings, Recipe
 from pipeline.run_dir import load_recipe

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.components import Demonstrations
+from pipeline.data.demonstrations import Demonstrations
 from tests.pipeline.toys import built, tagged_rows, tiny_config
 
 

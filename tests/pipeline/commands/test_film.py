@@ -16,13 +16,13 @@ from envs.adroit.simulator import HandSimulator
 from envs.demonstrations import DemoOptions, load_demonstrations
 from envs.door import task
 from envs.pictures import Picture
-from pipeline import components
 from pipeline.act.recorder import Recorder
 from pipeline.commands import film
 from pipeline.film import performers
 from pipeline.film.choice import Choice
 from pipeline.film.performers import LoadedRun
 from pipeline.film.takes import Moment
+from pipeline.playing import make_evaluator
 from pipeline.policy import load_policy
 from pipeline.run_dir import load_recipe, save_recipe
 from tests.pipeline.toys import built, tiny_config
@@ -118,7 +118,7 @@ def test_a_film_shows_the_policy_as_it_is_evaluated(
     # Each episode has noise of its own, the one that its evaluation has.
     run, recorder = LoadedRun.of(noisy), Recorder(DOORS)
     policy, _ = load_policy(run.recipe, run.task, noisy)
-    components.make_evaluator(run.recipe, run.task, episodes=DOORS).run(policy, recorder)
+    make_evaluator(run.recipe, run.task, episodes=DOORS).run(policy, recorder)
     seen = np.concatenate([path[::2, task.HAND_QPOS] for path, _ in recorder.episodes()])
     np.testing.assert_allclose(filmed(noisy)[:, 1:28], seen, atol=1e-6)
     quiet = acting_with(trained, tmp_path / "quiet", exploration="sample", noise_scale=1e-7)

@@ -10,8 +10,9 @@ from tensordict import TensorDict
 
 from configs import compose
 from envs import find_task
-from pipeline.components import make_emphasis, make_training_env
+from pipeline.conversion import make_emphasis
 from pipeline.data.emphasis import ProgressEmphasis
+from pipeline.playing import make_training_env
 
 
 def at(*progress: float) -> TensorDict:

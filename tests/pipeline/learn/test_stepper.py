@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from losses import BCSACLoss, ExponentialWeight, GradientRatio
-from pipeline import components
+from pipeline.learn import loss as configured
 from pipeline.learn.imitation import ImitationStepper
 from pipeline.learn.objective import LossSettings
 from pipeline.learn.stepper import BCSACStepper, UpdateSchedule
@@ -186,7 +186,7 @@ def test_the_configured_ratio_is_the_rule_of_the_imitation_term(
 ):
     networks = make_loss()
     settings = LossSettings(bc_gradient_ratio=ratio)
-    loss = components.make_loss(settings, networks.actor, networks.critic, ACTION_SIZE, updates=1)
+    loss = configured.make_loss(settings, networks.actor, networks.critic, ACTION_SIZE, updates=1)
     assert loss.composition["bc"].rule == rule
 
 
