@@ -253,20 +253,10 @@ $(AUDIT)/bin/pip-audit:
 	@$(AUDIT)/bin/python -m pip --disable-pip-version-check install -qq 'pip-audit>=2.7'
 
 .PHONY: smoke
-smoke: $(STAMP) ## train and evaluate every variant for a few seconds [VARIANTS="sac bc"] [JOBS=2] [ARGS="..."]
+smoke: $(STAMP) ## train and evaluate every variant for a few seconds [VARIANTS="sac bc"] [TASK=...] [DEMOS=...] [JOBS=2] [ARGS="..."]
 	@test -n "$(strip $(VARIANTS))" || { echo "make smoke: no configs/variant/*.yaml found" >&2; exit 2; }
-	@runs=$$(mktemp -d); trap 'rm -rf "$$runs"' EXIT; trap 'exit 130' INT TERM; \
-	OMP_NUM_THREADS=1 $(MAKE) --no-print-directory -j$(JOBS) SMOKE_RUNS="$$runs" $(addprefix smoke-,$(VARIANTS))
-
-# Told when it is over: several run together.
-smoke-%: $(STAMP)
-	@runs="$(SMOKE_RUNS)"; test -n "$$runs" || runs=$$(mktemp -d); began=$$(date +%s); \
-	{ $(MAKE) --no-print-directory train VARIANT=$* PRESET=smoke RUN="$$runs/$*" && \
-	  $(MAKE) --no-print-directory eval RUN="$$runs/$*" EPISODES=$(SMOKE_EPISODES) DEMOS= ARGS= && \
-	  test -s "$$runs/$*/evaluation.json"; } > "$$runs/$*.log" 2>&1; failed=$$?; \
-	echo "==== smoke: $*"; cat "$$runs/$*.log"; \
-	test $$failed -eq 0 || { echo "make smoke: $* failed" >&2; exit 1; }; \
-	echo "==== smoke: $* took $$(( $$(date +%s) - began )) s"
+	@OMP_NUM_THREADS=1 $(VENV_PYTHON) -m tests.smoke $(VARIANTS) --jobs $(JOBS) --episodes $(SMOKE_EPISODES) \
+	  $(TASK_ARGS) -- $(call path,demos.source,DEMOS) $(ARGS)
 
 .PHONY: docs
 docs: $(STAMP) ## build the documentation site; a warning or a dead link is an error [OUT=site]
