@@ -127,6 +127,7 @@ def behaviour_cloned(
         critic={"hidden": [8], "num_critics": 1},  # not trained offline
         loss={"target_entropy": None},  # nor is the temperature
         sampler={"own_sources": []},
+        evaluation={"keep_best": False},
     )
     identity = [
         demos.content_hash,

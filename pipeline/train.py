@@ -16,6 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from configs import prepare, recipe_of, require_known
 from envs.task import TaskFailedError
+from pipeline.best import better_before
 from pipeline.build import build_run
 from pipeline.files import again
 from pipeline.literals import typed, word
@@ -106,6 +107,8 @@ def _train(config: DictConfig, signals: Interruption) -> None:
     found = outcome(run.evaluation.metrics)
     done = f"done: {found}" if found else "done"
     logger.info("%s; evaluate it with: %s", done, again.evaluate(run.run_dir))
+    if better := better_before(run.run_dir):
+        logger.info("%s", better)
 
 
 def run_command_line() -> None:

@@ -18,6 +18,7 @@ from torchrl.trainers import Trainer
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 from envs import Task
+from pipeline.best import BestWeights
 from pipeline.files.background import BackgroundWork
 from pipeline.files.curves import WALL_S
 from pipeline.files.rotation import make_rotation
@@ -155,6 +156,7 @@ def make_evaluation_hook(
         recipe, task, episodes=recipe.evaluation.interval_episodes, keep_env=True
     )
     evaluator = replace(evaluator, between_steps=stop.leave)
+    best = BestWeights(recipe, actor, run_dir)
     hook = EvaluationHook(
         evaluator,
         actor,
@@ -163,6 +165,7 @@ def make_evaluation_hook(
         [lambda: {WALL_S: round(time_use.elapsed, 3)}, *diagnostics],
         stop,
         recipe.budget.unit,
+        best.offer if recipe.evaluation.keep_best else None,
     )
     time_use.watch(hook, "evaluate", "evaluate")
     return hook

@@ -43,6 +43,7 @@ class EvaluationSettings:
     noise_scale: Positive = 1.0  # of a draw: factor on the policy's standard deviation
     interval: NotNegative = 10_000  # frames between evaluations during training; 0 = never
     interval_episodes: Count = 50
+    keep_best: bool = True  # the weights of the best of these evaluations, in RUN/best
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from pipeline.watch.alarm import unlearning
 from pipeline.watch.phases import evaluated
 
 _logger = logging.getLogger(__name__)
+Keep = Callable[[int, Mapping[str, Any], Sequence[Mapping[str, Any]]], None]
 
 
 class EvaluationHook(TrainerHookBase):
@@ -33,6 +34,8 @@ class EvaluationHook(TrainerHookBase):
         diagnostics: What else to measure at each evaluation, by name.
         stop: On which the evaluation that is due is left for when the run goes on.
         unit: What the trainer counts, for the line that each evaluation is told in.
+        keep: Is given the frames and figures of each evaluation and all rows before it, and keeps
+            the weights that are worth it; None for nothing.
 
     A policy that unlearns raises an alarm: a warning, and a line in ``alarms.jsonl`` beside the
     curve (see ``pipeline/watch/alarm.py``).
@@ -47,8 +50,10 @@ class EvaluationHook(TrainerHookBase):
         diagnostics: Sequence[Callable[[], Mapping[str, float]]] = (),
         stop: StopRequest | None = None,
         unit: str = "frames",
+        keep: Keep | None = None,
     ) -> None:
         self.unit = unit
+        self.keep = keep
         self.stop = StopRequest() if stop is None else stop
         self.evaluator = evaluator
         self.policy = policy
@@ -91,6 +96,8 @@ class EvaluationHook(TrainerHookBase):
         with self.stop.at_once():
             self.metrics = metrics = self.evaluator.metrics(self.evaluator.run(self.policy))
         self.last_frame = frames
+        if self.keep is not None:  # before the row, which says that it was done
+            self.keep(frames, metrics, read_lines(self.path))
         measured = {k: v for diagnostic in self.diagnostics for k, v in diagnostic().items()}
         _append(self.path, {"frames": frames, **metrics, **measured})
         self._tell(frames, measured.get(WALL_S))

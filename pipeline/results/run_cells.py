@@ -41,7 +41,8 @@ def find_runs(folders: Sequence[Path]) -> list[Path]:
     """
     found: dict[Path, Path] = {}
     for folder in folders:
-        runs = sorted(path.parent for path in folder.rglob(CONFIG))
+        holding = {path.parent for path in folder.rglob(CONFIG)}
+        runs = sorted(run for run in holding if run.parent not in holding)  # no RUN/best
         if not runs:
             raise RunDirectoryError(
                 f"{folder} holds no run (a folder with {CONFIG}); make them with: make rows"

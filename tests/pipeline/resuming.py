@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors.torch import load_file
 
+from pipeline.best import BEST
+from pipeline.policy import WEIGHTS
 from pipeline.recipe import Recipe
 from pipeline.trainer import Run
 from tests.pipeline.toys import built, tiny_config
@@ -56,6 +59,7 @@ def everything(run: Run) -> dict[str, Any]:
         "episodes": modules["episodes"].state_dict(),
         "backtrack": modules["backtrack"].state_dict(),
         "evaluation": modules["evaluation"].state_dict(),
+        "best": load_file(run.run_dir / BEST / WEIGHTS),
         "frames": run.trainer.collected_frames,
         "rng": torch.get_rng_state(),
         "cuda_rng": torch.cuda.get_rng_state_all() if torch.cuda.is_available() else [],
