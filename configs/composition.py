@@ -15,7 +15,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Quote, QuotedString
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from configs.schema import register_schema
+from configs.schema import OF_PRESETS, READ_AS, register_schema
 from configs.sweeps import MULTIRUN, with_run_dirs
 from envs.registry import task_defaults
 from pipeline.files.run_files import PLACES
@@ -88,9 +88,17 @@ def prepare(overrides: Sequence[str]) -> list[str]:
 
     Raises:
         UnknownTaskError: If no task has the name that is asked for.
-        ValueError: If all runs of a sweep are to be kept in one directory.
+        ValueError: If a key is a preset's alone, or all runs of a sweep are to be kept in one
+            directory.
     """
     register_schema()
+    for override in overrides:
+        key, _, value = override.lstrip("+").partition("=")
+        if key in OF_PRESETS:
+            raise ValueError(
+                f"{key} is for files of presets alone: type {READ_AS[key]}={value}, which "
+                "variants that do not read it refuse"
+            )
     renamed = [rename_override(override) for override in overrides]
     for typed, today in zip(overrides, renamed, strict=True):
         if typed != today:
@@ -131,7 +139,7 @@ def recipe_of(config: DictConfig) -> Recipe:
     """
     values = OmegaConf.to_container(config, resolve=True)
     assert isinstance(values, dict)
-    kept = {str(key): value for key, value in values.items() if key not in PLACES}
+    kept = {str(key): value for key, value in values.items() if key not in (*PLACES, *OF_PRESETS)}
     return Recipe.of(kept, "the configuration")
 
 

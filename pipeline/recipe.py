@@ -39,6 +39,7 @@ from pipeline.learn.objective import LossSettings
 from pipeline.learn.optimizers import OptimSettings
 from pipeline.learn.own_terms import TERMS
 from pipeline.own_parts import Entry, OwnParts
+from pipeline.renamed import require_todays
 from pipeline.settings import STRICT, Count, NotNegative, Seed, checked, plain
 from pipeline.watch.loggers import LoggingSettings
 
@@ -208,6 +209,7 @@ class Recipe:
         Raises:
             SettingsError: If a key is unknown, or a value is of another type or out of its range.
         """
+        require_todays(values, where)
         return checked(cls, values, where)
 
     def plain(self) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic.dataclasses import dataclass as settings
 
 from losses import Schedule, make_schedule
-from losses.schedules import schedule_kind
+from losses.schedules import schedule_kind, setting_names
 from pipeline.settings import STRICT, Count, Rate, Share, plain
 
 LASTING = ("linear", "cosine")
@@ -41,9 +41,28 @@ class WeightSettings:
             return cls(init=float(schedule))
         return cls(**({"init": None} | vars(schedule) | {"kind": schedule_kind(schedule)}))
 
-    def schedule(self, updates: int) -> Schedule:
-        """The schedule; one that lasts moves over ``updates`` unless it has a duration."""
-        options = {key: value for key, value in plain(self).items() if value is not None}
+    def schedule(self, updates: int, key: str = "loss.bc_weight") -> Schedule:
+        """The schedule; one that lasts moves over ``updates`` unless it has a duration.
+
+        Args:
+            updates: Of the actor in the whole run.
+            key: Of these settings, for messages.
+
+        Raises:
+            ValueError: A value is missing, or is none that the kind reads, or they contradict.
+        """
+        given = {key: value for key, value in plain(self).items() if value is not None}
+        options = {name: value for name, value in given.items() if name != "kind"}
+        reads = setting_names(self.kind)
+        for name, value in options.items():
+            if name not in reads:
+                raise ValueError(
+                    f"{key}.{name}={value} is not read by {key}.kind={self.kind}, which has "
+                    f"{', '.join(reads)}: leave it out ({key}.{name}=null) or name another kind"
+                )
         if self.kind in LASTING:
             options.setdefault("duration", max(updates, 1))
-        return make_schedule(**options)
+        try:
+            return make_schedule(self.kind, **options)
+        except ValueError as error:
+            raise ValueError(f"{key}: {error}") from error
