@@ -27,8 +27,14 @@ _logger = logging.getLogger(__name__)
 
 Defaults = Mapping[str, Mapping[str, object]]
 HERE: Final = Path(__file__).parent
-NEW_KEYS: Final = ("task.kwargs.", "task.randomise.factors.", "task.randomise.outside.")
-"""Begin the keys of dictionaries, which any task may name."""
+NEW_KEYS: Final = (
+    "task.kwargs.",
+    "task.randomise.factors.",
+    "task.randomise.outside.",
+    "loss.bc_weight.kwargs.",
+    "loss.bc_weight={",
+)
+"""Begin what may set keys that any task, or a user's own schedule, has."""
 
 
 def task_named(overrides: Sequence[str]) -> str:
@@ -124,7 +130,7 @@ def spelled_for_hydra(override: str, *, several: bool = False) -> str:
     if separator and key in LITERAL and value not in {"", "null"} and not several:
         quoted = QuotedString(text=literal(value), quote=Quote.single).with_quotes()
         return f"{key}={quoted}".replace("${", "\\${")
-    if separator and key.startswith(NEW_KEYS):
+    if separator and override.startswith(NEW_KEYS):
         return f"++{override}"
     if separator and key == "task.success" and ">" in value and value[0] not in "'\"":
         return f"{key}='{value}'"

@@ -166,7 +166,8 @@ def schedule_kind(schedule: Schedule) -> str:
             return kind
     raise ValueError(
         f"{schedule!r} is none of {', '.join(c.__name__ for c in SCHEDULES.values())}, which are "
-        "the weights that a run can save and go on with"
+        "the weights that a run can save and go on with: name one of your own by its file, "
+        "{kind: my_schedules.py:NAME}"
     )
 
 
