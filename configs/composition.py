@@ -15,7 +15,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Quote, QuotedString
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from configs.schema import register_schema
+from configs.schema import OF_PRESETS, READ_AS, register_schema
 from configs.sweeps import MULTIRUN, with_run_dirs
 from envs.registry import task_defaults
 from pipeline.files.run_files import PLACES
@@ -27,8 +27,14 @@ _logger = logging.getLogger(__name__)
 
 Defaults = Mapping[str, Mapping[str, object]]
 HERE: Final = Path(__file__).parent
-NEW_KEYS: Final = ("task.kwargs.", "task.randomise.factors.", "task.randomise.outside.")
-"""Begin the keys of dictionaries, which any task may name."""
+NEW_KEYS: Final = (
+    "task.kwargs.",
+    "task.randomise.factors.",
+    "task.randomise.outside.",
+    "loss.bc_weight.kwargs.",
+    "loss.bc_weight={",
+)
+"""Begin what may set keys that any task, or a user's own schedule, has."""
 
 
 def task_named(overrides: Sequence[str]) -> str:
@@ -88,9 +94,17 @@ def prepare(overrides: Sequence[str]) -> list[str]:
 
     Raises:
         UnknownTaskError: If no task has the name that is asked for.
-        ValueError: If all runs of a sweep are to be kept in one directory.
+        ValueError: If a key is a preset's alone, or all runs of a sweep are to be kept in one
+            directory.
     """
     register_schema()
+    for override in overrides:
+        key, _, value = override.lstrip("+").partition("=")
+        if key in OF_PRESETS:
+            raise ValueError(
+                f"{key} is for files of presets alone: type {READ_AS[key]}={value}, which "
+                "variants that do not read it refuse"
+            )
     renamed = [rename_override(override) for override in overrides]
     for typed, today in zip(overrides, renamed, strict=True):
         if typed != today:
@@ -116,7 +130,7 @@ def spelled_for_hydra(override: str, *, several: bool = False) -> str:
     if separator and key in LITERAL and value not in {"", "null"} and not several:
         quoted = QuotedString(text=literal(value), quote=Quote.single).with_quotes()
         return f"{key}={quoted}".replace("${", "\\${")
-    if separator and key.startswith(NEW_KEYS):
+    if separator and override.startswith(NEW_KEYS):
         return f"++{override}"
     if separator and key == "task.success" and ">" in value and value[0] not in "'\"":
         return f"{key}='{value}'"
@@ -131,7 +145,7 @@ def recipe_of(config: DictConfig) -> Recipe:
     """
     values = OmegaConf.to_container(config, resolve=True)
     assert isinstance(values, dict)
-    kept = {str(key): value for key, value in values.items() if key not in PLACES}
+    kept = {str(key): value for key, value in values.items() if key not in (*PLACES, *OF_PRESETS)}
     return Recipe.of(kept, "the configuration")
 
 

@@ -166,8 +166,14 @@ def schedule_kind(schedule: Schedule) -> str:
             return kind
     raise ValueError(
         f"{schedule!r} is none of {', '.join(c.__name__ for c in SCHEDULES.values())}, which are "
-        "the weights that a run can save and go on with"
+        "the weights that a run can save and go on with: name one of your own by its file, "
+        "{kind: my_schedules.py:NAME}"
     )
+
+
+def setting_names(kind: str) -> tuple[str, ...]:
+    """Return the names of the settings of a kind, in their order."""
+    return tuple(field.name for field in fields(SCHEDULES[kind]))  # type: ignore[arg-type]
 
 
 def make_schedule(kind: str, **options: object) -> Schedule:
@@ -182,14 +188,13 @@ def make_schedule(kind: str, **options: object) -> Schedule:
     """
     if kind not in SCHEDULES:
         raise ValueError(f"unknown schedule {kind!r}; choose one of {', '.join(SCHEDULES)}")
-    schedule = SCHEDULES[kind]
-    expected = [field.name for field in fields(schedule)]  # type: ignore[arg-type]
+    expected = setting_names(kind)
     if set(options) != set(expected):
         raise ValueError(
             f"schedule {kind!r} takes exactly {', '.join(expected)}; "
             f"got {', '.join(options) or 'none'}"
         )
-    return schedule(**options)
+    return SCHEDULES[kind](**options)
 
 
 def _require_weights(**weights: float) -> None:

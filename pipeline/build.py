@@ -37,7 +37,7 @@ from pipeline.resuming import (
 from pipeline.run_dir import create_run_dir, save_recipe, saved_recipe
 from pipeline.scale_choice import unscaled, with_chosen_scale
 from pipeline.trainer import Run, seed_everything
-from pipeline.updates import late_actor
+from pipeline.updates import actor_updates, late_actor
 from pipeline.watch.loggers import require_loggers
 
 _logger = logging.getLogger(__name__)
@@ -121,6 +121,7 @@ def _compose(recipe: Recipe, run_dir: Path, time_use: TimeUse) -> Run:
         _logger.warning("%s", late)
     for kind, entries in recipe.own_parts:  # before minutes of demonstrations
         kind.require(entries)
+    recipe.loss.bc_weight.schedule(actor_updates(recipe))  # refuses what contradicts, likewise
     if recipe.curriculum.reverse:
         task.require("states", "curriculum.reverse=true")
     with time_use.part("demonstrations"):

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from envs.one_line import text_of
-from pipeline.dotted import nest
+from pipeline.dotted import flatten, nest
 from pipeline.literals import LITERAL, literal
 from pipeline.recipe import Recipe
 from pipeline.settings import SettingsError
@@ -55,6 +55,20 @@ def overridden(recipe: Recipe, override: str) -> Recipe:
     Raises:
         SettingsError: If it has another form, or the key or value is not possible.
     """
+    return recipe.changed(**nest(*_parsed(override)))
+
+
+def keys_of(override: str) -> set[str]:
+    """Dotted keys of the values that one ``key=value`` sets; a mapping sets several.
+
+    Raises:
+        SettingsError: If it has another form.
+    """
+    return set(flatten(nest(*_parsed(override))))
+
+
+def _parsed(override: str) -> tuple[str, Any]:
+    """Key and value."""
     name, separator, text = override.partition("=")
     if not separator:
         raise SettingsError(f"{override!r} is not of the form key=value")
@@ -64,4 +78,4 @@ def overridden(recipe: Recipe, override: str) -> Recipe:
         )
     except (yaml.YAMLError, ValueError) as error:
         raise SettingsError(f"{override!r}: its value cannot be read ({text_of(error)})") from error
-    return recipe.changed(**nest(name, change))
+    return name, change

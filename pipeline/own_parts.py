@@ -29,12 +29,14 @@ class OwnParts:
         word: Key of ``path.py:NAME`` in a mapping.
         given: Arguments that the run itself passes, before an entry's keyword arguments.
         sections: Dataclasses of settings, by the keyword arguments that may be mappings of theirs.
+        remedy: Ends the message about a setting that is not known.
     """
 
     key: str
     word: str
     given: int = 0
     sections: Mapping[str, type[Any]] = field(default_factory=dict)
+    remedy: str = ""
 
     def checked(self, entry: Entry) -> Entry:
         """The entry; nothing is imported.
@@ -52,7 +54,7 @@ class OwnParts:
         for name, value in entry.items():
             if isinstance(value, Mapping) and name in self.sections:
                 checked(self.sections[name], value, f"{self._asked(entry)}: {name}")
-            elif not _is_setting(value):
+            elif not is_setting(value):
                 raise ValueError(
                     f"{self._asked(entry)}: {name}={value!r} cannot be a setting; expected a "
                     "finite number, a string, true, false or a list of these"
@@ -62,6 +64,11 @@ class OwnParts:
     def where(self, entry: Entry) -> str:
         """``path.py:NAME``."""
         return entry if isinstance(entry, str) else str(entry[self.word])
+
+    def files(self, entry: Entry) -> str:
+        """Every ``path.py:NAME`` of an entry: its own, and those of its settings."""
+        within = (getattr(one, "own_file", None) for one in self.options(entry).values())
+        return ", ".join([self.where(entry), *(file for file in within if file)])
 
     def options(self, entry: Entry) -> dict[str, Any]:
         """The keyword arguments; mappings are made what they are settings of."""
@@ -94,7 +101,7 @@ class OwnParts:
             if unknown:
                 raise ValueError(
                     f"{asked}: {name} has no setting {unknown[0]!r}; it has "
-                    f"{', '.join(known or ()) or 'none'}"
+                    f"{', '.join(known or ()) or 'none'}{self.remedy}"
                 )
             try:
                 signature.bind(*[None] * self.given, **options)
@@ -140,9 +147,10 @@ def _keywords(signature: inspect.Signature, given: int) -> list[str] | None:
     return [one.name for one in parameters if one.kind in named and one not in positional]
 
 
-def _is_setting(value: Any) -> bool:
+def is_setting(value: Any) -> bool:
+    """Whether a value is a finite number, a string, a boolean or a list of these."""
     if isinstance(value, list | tuple):
-        return all(_is_setting(one) for one in value)
+        return all(is_setting(one) for one in value)
     if isinstance(value, float):
         return math.isfinite(value)
     return isinstance(value, bool | int | str)

@@ -14,7 +14,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import field, replace
-from typing import Any, Literal, Self
+from typing import Any, Final, Literal, Self
 
 from pydantic.dataclasses import dataclass as settings
 from pydantic.dataclasses import is_pydantic_dataclass
@@ -39,8 +39,12 @@ from pipeline.learn.objective import LossSettings
 from pipeline.learn.optimizers import OptimSettings
 from pipeline.learn.own_terms import TERMS
 from pipeline.own_parts import Entry, OwnParts
+from pipeline.renamed import require_todays
 from pipeline.settings import STRICT, Count, NotNegative, Seed, checked, plain
 from pipeline.watch.loggers import LoggingSettings
+
+SCHEDULE_KEY: Final = "loss.bc_weight.kind"
+"""Names a file where the imitation weight's schedule is a user's own."""
 
 
 @settings(frozen=True, kw_only=True, config=STRICT)
@@ -186,6 +190,13 @@ class Recipe:
         every = [(TERMS, self.loss.own_terms), (SOURCES, self.sampler.own_sources)]
         return [(kind, entries) for kind, entries in every if entries]
 
+    @property
+    def own_imports(self) -> dict[str, str]:
+        """What a run imports of a user's own files for training alone, by the key that asks."""
+        asked = {kind.key: ", ".join(map(kind.files, entries)) for kind, entries in self.own_parts}
+        schedule = self.loss.bc_weight.own_file
+        return asked if schedule is None else {**asked, SCHEDULE_KEY: schedule}
+
     def imports(self, *, training: bool) -> dict[str, str]:
         """What of somebody's code a run imports, by the key that asks for it.
 
@@ -193,9 +204,7 @@ class Recipe:
             training: Whether it is trained; its objective and batches are made for that alone.
         """
         asked = imports_of(self.task.name, self.task.options)
-        for kind, entries in self.own_parts if training else ():
-            asked[kind.key] = ", ".join(kind.where(entry) for entry in entries)
-        return asked
+        return {**asked, **self.own_imports} if training else asked
 
     @classmethod
     def of(cls, values: Mapping[str, Any], where: str) -> Self:
@@ -208,6 +217,7 @@ class Recipe:
         Raises:
             SettingsError: If a key is unknown, or a value is of another type or out of its range.
         """
+        require_todays(values, where)
         return checked(cls, values, where)
 
     def plain(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Keys that had other names: published run directories of before mean what they did.
 
-Command lines know one of them for one release, ``env.name`` (:data:`ALIASES`).
+Command lines know some of them for one release (:data:`ALIASES`).
 """
 
 from __future__ import annotations
@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from pipeline.dotted import put
+from pipeline.dotted import flatten, put
+from pipeline.settings import SettingsError
 
 RENAMED: Final[Mapping[str, str]] = {
     "env.name": "task.name",
@@ -29,9 +30,27 @@ IMPLIED: Final[Mapping[str, Mapping[str, object]]] = {
     "growth.admission.min_angle": {"growth.admission.success": False},
 }
 """What else an old key meant."""
-ALIASES: Final[Mapping[str, str]] = {"env.name": "task.name"}
-"""Those that a command line may still use. It may go one release after it came; ``CHANGELOG.md``
+REMOVED: Final[Mapping[str, str]] = {"loss.bc_decay": "loss.bc_weight.decay"}
+"""Keys that saved runs hold beside the one that has their value where anything reads it."""
+ALIASES: Final[Mapping[str, str]] = {"env.name": "task.name", **REMOVED}
+"""Those that a command line may still use. One may go one release after it came; ``CHANGELOG.md``
 says when that was."""
+
+
+def require_todays(config: Mapping[str, Any], where: str) -> None:
+    """Refuses old names in values that are written today.
+
+    Args:
+        config: By key; sections are mappings.
+        where: They come from, for the message.
+
+    Raises:
+        SettingsError: Naming the old key and today's.
+    """
+    given = set(flatten(config))
+    for old, new in {**RENAMED, **REMOVED}.items():
+        if old in given:
+            raise SettingsError(f"{where}: there is no {old} any more: set {new}")
 
 
 def rename_override(override: str) -> str:
@@ -50,6 +69,10 @@ def rename_keys(config: dict[str, Any]) -> dict[str, Any]:
         put(config, new, holder.pop(key))
         for implied, value in IMPLIED.get(old, {}).items():
             put(config, implied, value)
+    for old in REMOVED:
+        *path, key = old.split(".")
+        if holder := _holder(config, path):
+            holder.pop(key, None)
     return config
 
 

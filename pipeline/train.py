@@ -6,6 +6,7 @@ import atexit
 import gc
 import logging
 import sys
+from operator import attrgetter
 from pathlib import Path
 
 import hydra
@@ -27,6 +28,7 @@ from pipeline.machine.sweep import note, sweep
 from pipeline.non_finite import EXIT_CODE, NonFiniteError
 from pipeline.recipe import Recipe
 from pipeline.run_dir import load_recipe
+from pipeline.settings import plain
 from pipeline.watch.phases import outcome
 
 logger = logging.getLogger(__name__)
@@ -100,7 +102,9 @@ def _train(config: DictConfig, signals: Interruption) -> None:
         run.train()
     except Interrupted:
         counted = f"{run.trainer.collected_frames} {recipe.budget.unit}"
-        named = [word(f"{kind.key}={typed(entries)}") for kind, entries in recipe.own_parts]
+        named = [
+            word(f"{key}={typed(plain(attrgetter(key)(recipe)))}") for key in recipe.own_imports
+        ]
         further = again.command("train", "", again.task_of(run_dir), named, RESUME=run_dir)
         print(f"stopped at {counted}; go on with: {further}", file=sys.stderr)
         raise

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from pipeline.files.run_files import TRUST, RunDirectoryError
 from pipeline.literals import TASK_KEY, typed, word
+from pipeline.overrides import keys_of
 from pipeline.recipe import Recipe
 from pipeline.settings import plain
 
@@ -31,7 +32,7 @@ def require_trusted(
     if os.environ.get(TRUST) == "1":
         return
     for key, what in imports.items():
-        if not any(override.startswith(f"{key}=") for override in overrides):
+        if not any(key in keys_of(override) for override in overrides):
             value = plain(attrgetter(key)(recipe))
             again = f"TASK={value}" if key == TASK_KEY else _arguments(f"{key}={typed(value)}")
             raise RunDirectoryError(

@@ -17,15 +17,18 @@ from typing import Any, get_type_hints
 
 from pydantic.dataclasses import is_pydantic_dataclass
 
+from losses import SCHEDULES
 from pipeline.dotted import join
 from pipeline.recipe import Recipe
 
 TYPES = {
     "Count": "int >= 1",
+    "FurtherSettings": "dict[str, Any]",
     "Multiple": "float >= 1",
     "NotNegative": "int >= 0",
     "Positive": "float > 0",
     "Rate": "float >= 0",
+    "ScheduleKind": " | ".join([*SCHEDULES, "path.py:NAME"]),
     "Share": "float, 0 to 1",
     "Widths": "list of int >= 1",
 }

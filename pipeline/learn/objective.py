@@ -79,7 +79,6 @@ class LossSettings:
     self_imitation: SelfImitationSettings = field(default_factory=SelfImitationSettings)
     # Terms of your own beside these: path.py:NAME, or {term: path.py:NAME, weight: 0.1, ...}
     own_terms: tuple[OwnTerm, ...] = ()
-    bc_decay: Share = 0.999  # alpha that the DBC variants give to bc_weight (paper IV-C.4)
     bc_gradient_ratio: Rate | None = None  # if set: bc_weight(n) * ratio * |g_RL| / |g_BC|
 
     @property

@@ -38,7 +38,7 @@ def _term(entry: Entry, updates: int) -> Term:
     scheduled = {}
     if isinstance(weight, WeightSettings):
         try:
-            scheduled["weight"] = weight.schedule(updates)
+            scheduled["weight"] = weight.schedule(updates, "weight")
         except ValueError as error:
             raise TERMS.refused(entry, f"has no such weight: {error}") from error
     term = TERMS.make(entry, **scheduled)

@@ -91,7 +91,7 @@ def _faded_imitation(_best: Row, now: Row) -> str | None:
     share = weight * bc / rl if rl else float("inf")
     return (
         f"faded imitation (its gradient is {share:.2f} of the RL gradient; try a slower "
-        "loss.bc_decay or loss.bc_gradient_ratio)"
+        "loss.bc_weight.decay or loss.bc_gradient_ratio)"
     )
 
 

@@ -89,6 +89,24 @@ def test_the_term_of_the_page_has_the_settings_of_the_yaml(
     assert (term.at, term.weight_at(0)) == (0.2, 0.1)
 
 
+def test_the_schedule_of_the_page_has_the_settings_of_the_yaml(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Half of its way down, at its end, and begun again; typed, it has the parent's first one."""
+    (tmp_path / "my_schedules.py").write_text(snippet("schedule"))
+    monkeypatch.chdir(tmp_path)
+    given = yaml.safe_load(variant("sawtooth"))["loss"]
+    named, typed = re.findall(r"ARGS=\"'?(loss\.bc_weight.*?)'?\"", TUTORIAL.read_text())[::-1]
+    for recipe in (
+        compose("variant=bc_sac").changed(loss=given),
+        compose("variant=bc_sac", typed),
+        compose("variant=bc_sac", named, "loss.bc_weight.kwargs.period=5000"),
+    ):
+        weight = recipe.loss.bc_weight.schedule(10)
+        assert [weight(n) for n in (0, 2500, 4999, 5000)] == pytest.approx([1, 0.5, 2e-4, 1])
+        assert recipe.plain()["loss"]["bc_weight"]["kwargs"] == {"period": 5000}
+
+
 def test_the_python_of_the_page_names_a_task_and_demonstrations_of_ones_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

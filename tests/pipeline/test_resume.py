@@ -8,11 +8,14 @@ from pathlib import Path
 
 import pytest
 import torch
+import yaml
 
 from envs.door.definition import TASK
 from envs.library.vector_env import VectorEnv
+from pipeline.build import build_run
 from pipeline.commands.evaluate_run import evaluate_run
 from pipeline.files.checkpoint import latest_checkpoint, load_component
+from pipeline.files.run_files import CONFIG, RunDirectoryError
 from pipeline.policy import load_policy
 from pipeline.run_dir import load_recipe
 from pipeline.trainer import Run
@@ -66,6 +69,23 @@ def test_a_resumed_run_is_the_uninterrupted_one(
     assert len(expected["records"]["records"]) == 5  # the ring of 150 rows has evicted some
     assert differences(everything(run), expected) == []
     assert curve_of(stopped) == curve
+
+
+def test_a_run_of_before_with_two_keys_of_alpha_goes_on_as_it_did(
+    uninterrupted: tuple[dict, list[dict]], stopped: Path
+):
+    """What was typed then can be typed again."""
+    saved = yaml.safe_load((stopped / CONFIG).read_text())
+    saved["loss"]["bc_decay"] = alpha = saved["loss"]["bc_weight"]["decay"]
+    (stopped / CONFIG).write_text(yaml.safe_dump(saved))
+    recipe = load_recipe(stopped, [f"loss.bc_decay={alpha}"], training=True)
+    torch.manual_seed(4321)
+    run = build_run(recipe, stopped, resume=True)
+    run.train()
+    assert alpha < 1
+    assert differences(everything(run), uninterrupted[0]) == []
+    with pytest.raises(RunDirectoryError, match=r"loss\.bc_weight\.decay +0\.9999 +0\.5"):
+        build_run(load_recipe(stopped, ["loss.bc_decay=0.5"]), stopped, resume=True)
 
 
 def part_open(run: Run) -> dict:

@@ -308,6 +308,14 @@ def test_writing_is_all_or_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
             "unknown task 'window'; valid: door, hammer, pen, .*gymnasium:ID",
         ),
         ("sac", "loss.bc_weight.kind=quadratic", "quadratic"),
+        (
+            "bc_sac",
+            "loss.bc_weight.decay=0.99",
+            r"^loss\.bc_weight\.decay=0\.99 is not read by loss\.bc_weight\.kind=constant, which "
+            r"has init: leave it out \(loss\.bc_weight\.decay=null\) or name another kind$",
+        ),
+        ("bc_sac", "loss.bc_decay=0.99", r"^loss\.bc_weight\.decay=0\.99 is not read by"),
+        ("bc_sac", "loss.bc_weight.kind=exponential", r"^loss\.bc_weight: .*exactly init, decay;"),
         ("sac", "optim.target_period=0", r"optim\.target_period=0"),
         ("sid_bc", "growth.admission.min_return=null", r"growth\.admission admits every episode"),
         ("ila_bc", "growth.admission.quantile=0.5", r"quantile judges .*self_imitation=true: set"),
