@@ -23,6 +23,7 @@ from pipeline.build import build_run
 from pipeline.machine.disk import training_stopped_by
 from pipeline.machine.interruption import TOGETHER_S, Interrupted, StopRequest, interruption
 from pipeline.recipe import Recipe
+from pipeline.run_dir import create_run_dir, load_recipe
 from pipeline.trainer import Run
 from tests.pipeline.resuming import curve_of, differences
 from tests.pipeline.test_resuming import FILE, recipe_of, resumed
@@ -304,18 +305,37 @@ def test_a_checkpoint_for_which_there_is_no_room_leaves_the_last_one(
 def test_what_a_stopped_run_has_counted_is_named(
     offline: bool, counted: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ):
+    train_and_stop(Recipe().changed(offline=offline), tmp_path, monkeypatch)
+    assert capsys.readouterr().err.startswith(f"stopped at {counted}; go on with: make train ")
+
+
+def test_a_stopped_run_is_told_its_own_files_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
+    """Words that let it go on."""
+    loss = {"own_terms": ["a.py:A"], "bc_weight": {"kind": "b.py:B", "period": 3}}
+    recipe = Recipe().changed(loss=loss)
+    train_and_stop(recipe, tmp_path, monkeypatch)
+    named = ["loss.own_terms=[a.py:A]", "loss.bc_weight.kind=b.py:B"]
+    assert capsys.readouterr().err.endswith(f" ARGS='{' '.join(named)}'\n")
+    monkeypatch.delenv("TRUST", raising=False)
+    create_run_dir(tmp_path / "run", recipe)
+    assert load_recipe(tmp_path / "run", named, training=True) == recipe
+
+
+def train_and_stop(recipe: Recipe, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command, stopped by a signal after 40 frames or updates."""
+
     def stopped() -> None:
         raise Interrupted(signal.SIGTERM)
 
     run = SimpleNamespace(
-        run_dir=tmp_path, stop=None, train=stopped, trainer=SimpleNamespace(collected_frames=40)
+        run_dir=folder, stop=None, train=stopped, trainer=SimpleNamespace(collected_frames=40)
     )
-    recipe = Recipe().changed(offline=offline)
-    monkeypatch.setattr(train, "resolve", lambda _config: (recipe, tmp_path, False))
+    monkeypatch.setattr(train, "resolve", lambda _config: (recipe, folder, False))
     monkeypatch.setattr(train, "build_run", lambda *_arguments, **_options: run)
     with pytest.raises(Interrupted):
         train._train(OmegaConf.create(), SimpleNamespace(asks=lambda _stop: None))
-    assert capsys.readouterr().err.startswith(f"stopped at {counted}; go on with: make train ")
 
 
 def test_a_curve_that_cannot_be_written_ends_the_run(tmp_path: Path):
