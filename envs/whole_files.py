@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 
 @contextmanager
@@ -35,6 +36,29 @@ def whole_file(path: Path, suffix: str = ".tmp") -> Iterator[Path]:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_set(folder: Path) -> Iterator[Path]:
+    """An empty folder, whose files come into ``folder`` together when the block ends well.
+
+    Those of the same name are replaced, others stay; a block that fails leaves all as it was.
+
+    Args:
+        folder: Made if needed.
+
+    Raises:
+        OSError: If they cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    # In it, so that moving them there only gives names.
+    with TemporaryDirectory(dir=folder, prefix=".", suffix=".made") as made:
+        yield Path(made)
+        for path in sorted(Path(made).rglob("*")):
+            if path.is_file():
+                destination = folder / path.relative_to(made)
+                destination.parent.mkdir(parents=True, exist_ok=True)
+                path.replace(destination)
 
 
 def flush(path: Path) -> None:

@@ -42,7 +42,7 @@ def results(
     """Publish evaluated runs: a task's published tables, or else cells of the table over tasks."""
     require_extras(RESULTS_MODULES, "make results")
     from pipeline.results.publish import has_tables, publish
-    from pipeline.results.publish_cells import publish_cells, publish_policies, read_cells
+    from pipeline.results.publish_cells import publish_cells, read_cells
 
     if len(runs) == 1 and has_tables(runs[0]):
         out.mkdir(parents=True, exist_ok=True)
@@ -51,9 +51,7 @@ def results(
         typer.echo(f"written to {out}")
         return
     cells = read_cells(runs, out, unclean=unclean)
-    published = publish_cells(cells, out)
-    if policies:
-        publish_policies(cells, published, out)
+    published = publish_cells(cells, out, policies=policies)
     for cell in cells:
         typer.echo(", ".join(map(str, cell.keys)))
     typer.echo(f"{len(cells)} of {len(published)} cells written to {out / CELLS}")

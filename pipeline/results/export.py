@@ -32,7 +32,7 @@ def exported_seed(folder: Path) -> int | None:
     return int(load_recipe(folder).seed) if (folder / WEIGHTS).is_file() else None
 
 
-def export_middle(row: RunGroup, policies: Path, *names: str) -> None:
+def export_middle(row: RunGroup, policies: Path, *names: str, made: Path) -> None:
     """Writes the policy of a row's run in the middle by success, then return.
 
     It is chosen among the seeds whose weights are at hand: in a run directory, or published
@@ -43,12 +43,13 @@ def export_middle(row: RunGroup, policies: Path, *names: str) -> None:
         policies: Folder of all published policies.
         names: Of the folder below it, from the outside in; characters that a shell reads are
             replaced.
+        made: Where it is written, in place of ``policies``.
     """
     name = "/".join(UNSAFE.sub("_", part) for part in names)
     kept = exported_seed(policies / name)
     for run in row.by_distance_to_median:
         if run.path.is_dir():
-            return export_policy(run, policies / name, name=name)
+            return export_policy(run, made / name, name=name)
         if run.seed == kept:
             return None
     return None

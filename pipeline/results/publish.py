@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from envs.whole_files import whole_set
 from pipeline.files.run_files import EVALUATION, as_json, write_atomically
 from pipeline.results.cells import OWN
 from pipeline.results.curves import AXES
@@ -53,6 +54,7 @@ def publish(
     Raises:
         RunDirectoryError: If there is nothing to publish, something cannot be read, a row would
             mix recipes, or a run names no revision; nothing is written then.
+        FileNotFoundError, ValueError: If the weights of a policy are missing or damaged; likewise.
     """
     new = load_rows(runs)
     for run in () if unclean else (run for row in new for run in row.runs):
@@ -62,21 +64,23 @@ def publish(
     names = in_published_order((row.name for row in rows), reference.rows)
     rows.sort(key=lambda row: names.index(row.name))
     changed = {row.name for row in new}
-    for row in (row for row in rows if row.name in changed):
-        folder = out / ROWS / row.name
-        folder.mkdir(parents=True, exist_ok=True)
-        for run in row.runs:
-            write_atomically(folder / f"seed{run.seed}.json", _compact(run.published()))
-        drawn = [run for run in row.runs if run.curve]
-        if drawn:
-            plot_diagnostics(f"{row.name}: {len(drawn)} seeds", drawn, folder / "diagnostics.png")
-        if policies:
-            export_middle(row, out / POLICIES, row.name)
-    for x in AXES:
-        plot_curves(rows, x, out / f"curves_{x.key}.png")
-    write_atomically(out / TABLE, as_json(table(rows), indent=1) + "\n")
-    write_atomically(out / TABLES, render_rows(rows, reference) + "\n")
-    write_atomically(out / SUMMARY, render_summary(rows, reference) + "\n")
+    with whole_set(out) as made:
+        for row in (row for row in rows if row.name in changed):
+            folder = made / ROWS / row.name
+            folder.mkdir(parents=True)
+            for run in row.runs:
+                write_atomically(folder / f"seed{run.seed}.json", _compact(run.published()))
+            drawn = [run for run in row.runs if run.curve]
+            if drawn:
+                title = f"{row.name}: {len(drawn)} seeds"
+                plot_diagnostics(title, drawn, folder / "diagnostics.png")
+            if policies:
+                export_middle(row, out / POLICIES, row.name, made=made / POLICIES)
+        for x in AXES:
+            plot_curves(rows, x, made / f"curves_{x.key}.png")
+        write_atomically(made / TABLE, as_json(table(rows), indent=1) + "\n")
+        write_atomically(made / TABLES, render_rows(rows, reference) + "\n")
+        write_atomically(made / SUMMARY, render_summary(rows, reference) + "\n")
     return rows
 
 

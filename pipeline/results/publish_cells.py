@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from envs.whole_files import whole_set
 from pipeline.results.cells import (
     FILE,
     FOLDER,
@@ -19,40 +20,38 @@ from pipeline.results.demonstrators import FILE as LISTED
 from pipeline.results.demonstrators import read_listed
 from pipeline.results.export import POLICIES, export_middle
 from pipeline.results.run_cells import find_runs, read_cell
+from pipeline.results.runs import RunGroup
 
 
-def publish_cells(cells: Sequence[Cell], out: Path) -> list[Cell]:
+def publish_cells(cells: Sequence[Cell], out: Path, *, policies: bool = True) -> list[Cell]:
     """Adds cells to those that are published; a seed that is there is replaced.
 
     Args:
         cells: Of the runs.
-        out: Folder of the results; the file is ``tasks/cells.parquet`` in it.
+        out: Folder of the results; the file is ``tasks/cells.parquet`` in it, a policy of each
+            task, reward and row that ``cells`` are of is ``policies/TASK_REWARD/ROW``.
+        policies: Whether policies are written.
 
     Returns:
         All cells of the file.
 
     Raises:
         RunDirectoryError: See :func:`~pipeline.results.cells.merge_cells`; nothing is written then.
+        FileNotFoundError, ValueError: If the weights of a policy are missing or damaged; likewise.
     """
-    path = out / FOLDER / FILE
-    merged = merge_cells(load_cells(path), cells)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_cells(merged, path)
+    merged = merge_cells(load_cells(out / FOLDER / FILE), cells)
+    with whole_set(out) as made:
+        for place in {(cell.task, cell.reward, cell.row) for cell in cells if policies}:
+            _export(as_row(by_place(merged)[place]), place, out, made)
+        (made / FOLDER).mkdir()
+        save_cells(merged, made / FOLDER / FILE)
     return merged
 
 
-def publish_policies(cells: Sequence[Cell], published: Sequence[Cell], out: Path) -> None:
-    """Writes a policy of each task, reward and row that ``cells`` are of.
-
-    Args:
-        cells: Of the runs.
-        published: All cells of the file, among whose seeds the middle one is sought.
-        out: Folder of the results; a policy is ``policies/TASK_REWARD/ROW`` in it.
-    """
-    changed = {(cell.task, cell.reward, cell.row) for cell in cells}
-    for (task, reward, row), found in by_place(published).items():
-        if (task, reward, row) in changed:
-            export_middle(as_row(found), out / POLICIES, f"{task}_{reward}", row)
+def _export(row: RunGroup, place: tuple[str, str, str], out: Path, made: Path) -> None:
+    """The policy of the seed in the middle of all that are published."""
+    task, reward, name = place
+    export_middle(row, out / POLICIES, f"{task}_{reward}", name, made=made / POLICIES)
 
 
 def read_cells(folders: Sequence[Path], out: Path, *, unclean: bool = False) -> list[Cell]:

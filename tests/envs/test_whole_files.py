@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from envs.whole_files import whole_file
+from envs.whole_files import whole_file, whole_set
 
 
 def test_the_file_takes_its_place_when_the_block_ends(tmp_path: Path):
@@ -78,3 +78,32 @@ def test_a_library_that_goes_by_the_ending_gets_it(tmp_path: Path):
     with whole_file(tmp_path / "x.mp4", ".mp4") as temporary:
         assert temporary.suffix == ".mp4"
         temporary.write_text("")
+
+
+def test_a_set_comes_into_its_folder_together(tmp_path: Path):
+    folder = tmp_path / "set"
+    with whole_set(folder) as made:
+        (made / "a").mkdir()
+        (made / "a" / "x").write_text("new")
+        assert list(folder.rglob("x")) == [made / "a" / "x"]
+    (folder / "a" / "other").write_text("stays")
+    with whole_set(folder) as made:
+        (made / "a").mkdir()
+        (made / "a" / "x").write_text("newer")
+    found = {path.name: path.read_text() for path in folder.rglob("*") if path.is_file()}
+    assert found == {"x": "newer", "other": "stays"}
+    assert list(folder.iterdir()) == [folder / "a"]
+
+
+def test_a_set_that_fails_half_way_changes_nothing(tmp_path: Path):
+    (tmp_path / "x").write_text("old")
+
+    def fail() -> None:
+        with whole_set(tmp_path) as made:
+            (made / "x").write_text("new")
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        fail()
+    assert [path.name for path in tmp_path.iterdir()] == ["x"]
+    assert (tmp_path / "x").read_text() == "old"

@@ -382,6 +382,24 @@ def test_a_cell_s_policy_is_of_its_middle_seed_and_judged_as_its_run(runs: Path,
     assert f"make eval RUN=docs/results/policies/door_dense/{row}`" in card
 
 
+@pytest.mark.parametrize("folders", [1, 2])  # a task's own tables, and cells over tasks
+def test_nothing_is_published_of_runs_whose_weights_are_gone(
+    runs: Path, tmp_path: Path, folders: int
+):
+    """Not the rows or cells before the policies, and no policy of a row before the missing one."""
+    given, out = [], tmp_path / "out"
+    for number in range(folders):
+        shutil.copytree(runs / "best_of_two", tmp_path / f"{number}" / "one")
+        shutil.copytree(runs / "best_of_two", tmp_path / f"{number}" / "two")
+        given.append(str(tmp_path / f"{number}"))
+    for row in ("one", "two"):  # of the second folder the runs are told apart by their seeds alone
+        for damaged in (tmp_path / "0" / row).glob("*/checkpoints"):
+            shutil.rmtree(damaged)
+        done = CliRunner().invoke(app, ["results", *given, "--out", str(out), "--unclean"])
+        assert isinstance(done.exception, FileNotFoundError | ValueError), done.output
+        assert [path for path in out.rglob("*") if path.is_file()] == []
+
+
 def test_a_row_of_two_recipes_is_refused():
     earlier = RunGroup("row", (seed_with(0, 1.0, preset="table"),))
     later = RunGroup("row", (seed_with(1, 1.0, preset="paper"),))

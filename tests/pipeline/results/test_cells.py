@@ -63,7 +63,7 @@ def test_what_the_demonstrations_of_a_run_lack_is_part_of_its_row(task: str, dem
 
 def test_a_cell_that_is_published_is_read_as_it_was(tmp_path: Path):
     run = evaluated(tmp_path / "run")
-    publish_cells([read(run)], tmp_path / "out")
+    publish_cells([read(run)], tmp_path / "out", policies=False)
     (cell,) = load_cells(file_of(tmp_path / "out"))
     assert cell.keys == ("hammer", "dense", "bc_sac_1", 0)
     assert dict(cell.conditions) == {
@@ -93,7 +93,7 @@ def test_tasks_with_other_stages_and_rewards_share_the_file(tmp_path: Path):
         evaluated(tmp_path / "b", recipe(env={"reward": "sparse"}), stages={"far": 0.0}),
         evaluated(tmp_path / "c", recipe(task={"name": "gymnasium:Hopper-v5"}), success_once=None),
     ]
-    publish_cells([read(run) for run in runs], tmp_path / "out")
+    publish_cells([read(run) for run in runs], tmp_path / "out", policies=False)
     found = {cell.keys[:2]: cell.run.evaluation for cell in load_cells(file_of(tmp_path / "out"))}
     assert found["hammer", "dense"].stages == {"near": 1.0}
     assert found["hammer", "sparse"].stages == {"far": 0.0}
@@ -103,7 +103,7 @@ def test_tasks_with_other_stages_and_rewards_share_the_file(tmp_path: Path):
 def test_the_file_names_no_place_on_this_machine(tmp_path: Path):
     task = tmp_path / "my tasks" / "reach.py"
     run = evaluated(tmp_path / "run", recipe(task={"name": f"{task}:TASK"}))
-    publish_cells([read(run)], tmp_path / "out")
+    publish_cells([read(run)], tmp_path / "out", policies=False)
     (cell,) = load_cells(file_of(tmp_path / "out"))
     assert cell.task == "reach.py:TASK"
     told = json.dumps([cell.conditions, cell.run.published()])
@@ -114,10 +114,10 @@ def test_the_file_names_no_place_on_this_machine(tmp_path: Path):
 
 def test_cells_are_added_and_a_seed_that_is_run_again_is_replaced(tmp_path: Path):
     out = tmp_path / "out"
-    publish_cells([read(evaluated(tmp_path / "a"))], out)
+    publish_cells([read(evaluated(tmp_path / "a"))], out, policies=False)
     again = read(evaluated(tmp_path / "b", return_mean=5.0))
     other = read(evaluated(tmp_path / "c", recipe(seed=1)))
-    publish_cells([again, other], out)
+    publish_cells([again, other], out, policies=False)
     found = {cell.run.seed: cell.run.evaluation.return_mean for cell in load_cells(file_of(out))}
     assert found == {0: 5.0, 1: 3.0}
 
