@@ -11,6 +11,7 @@ from typing import Final
 from pipeline.dotted import names
 from pipeline.files.run_files import PLACES
 from pipeline.recipe import Recipe
+from pipeline.settings import unknown_key
 
 CHOICES: Final = ("variant", "preset", *PLACES)
 """Keys that are no part of a recipe."""
@@ -43,9 +44,7 @@ def require_known(overrides: Sequence[str]) -> None:
         found = PLAIN.match(override)
         if found is None or found[1] in keys or found[1].startswith("hydra."):
             continue
-        alike = get_close_matches(found[1], keys, n=3)
-        meant = f"did you mean {' or '.join(alike)}? All" if alike else "all"
-        raise ValueError(f"there is no key {found[1]}: {meant} are listed by: make settings")
+        raise ValueError(unknown_key(found[1], keys))
 
 
 def _require_file(group: str, names: Sequence[str]) -> None:

@@ -12,11 +12,14 @@ sections are a :class:`~pipeline.recipe.Recipe`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
+
+from pipeline.dotted import names
 
 STRICT: Final = ConfigDict(extra="forbid", allow_inf_nan=False, validate_default=True)
 """Of every section: no unknown keys, no NaN."""
@@ -71,16 +74,37 @@ def checked(kind: type[Section], values: Mapping[str, Any], where: str) -> Secti
     try:
         return TypeAdapter(kind).validate_python(dict(values))
     except ValidationError as error:
-        raise SettingsError(f"{where}: {explained(error, values)}") from error
+        raise SettingsError(f"{where}: {explained(error, values, _keys_of(kind))}") from error
 
 
-def explained(error: ValidationError, values: Mapping[str, Any]) -> str:
-    """What is wrong with ``values``, key by key, in one line."""
+def unknown_key(key: str, keys: Iterable[str]) -> str:
+    """That there is no such key, and those of ``keys`` that are most like it."""
+    alike = get_close_matches(key, list(keys), n=3)
+    meant = f"did you mean {' or '.join(alike)}? All" if alike else "all"
+    return f"there is no key {key}: {meant} are listed by: make settings"
+
+
+def _keys_of(kind: type[Any]) -> list[str]:
+    """Dotted keys of a section, sections within it and theirs; none if it has no defaults."""
+    try:
+        return list(names(plain(kind())))
+    except (TypeError, ValidationError):
+        return []
+
+
+def explained(error: ValidationError, values: Mapping[str, Any], keys: Sequence[str] = ()) -> str:
+    """What is wrong with ``values``, key by key, in one line.
+
+    Args:
+        error: Of pydantic.
+        values: That were given, by key.
+        keys: That exist.
+    """
     found: dict[str, str] = {}
     for problem in error.errors(include_url=False):
         key = _key(problem["loc"], values) or "the settings"
         if problem["type"] == "unexpected_keyword_argument":
-            found[key] = f"{key} is not a key that exists"
+            found[key] = unknown_key(key, keys)
         elif problem["type"] == "value_error":  # of a section's own, which names its keys
             message = problem["msg"].removeprefix("Value error, ")
             found[message] = message

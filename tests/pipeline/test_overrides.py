@@ -69,6 +69,20 @@ def test_what_is_no_value_is_refused_by_its_key(override: str):
     assert "\n" not in told
 
 
+@pytest.mark.parametrize(
+    ("override", "meant"),
+    [
+        ("evaluation.episdes=3", "did you mean evaluation.episodes"),
+        ("evaluation={episdes: 3}", "did you mean evaluation.episodes"),
+        ("zzz=3", "no key zzz: all are listed by: make settings"),
+    ],
+)
+def test_an_unknown_key_is_refused_with_what_was_meant(override: str, meant: str):
+    with pytest.raises(SettingsError) as refused:
+        overridden(Recipe(), override)
+    assert meant in str(refused.value)
+
+
 @pytest.mark.parametrize("override", ["variant=sac", "+preset=paper", "seed=3", "run_dir=other"])
 def test_a_run_stays_what_it_was_trained_as(override: str, tmp_path: Path):
     create_run_dir(tmp_path / "run", compose("variant=dbc_sac", "preset=smoke"))
