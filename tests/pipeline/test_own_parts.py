@@ -96,7 +96,7 @@ def test_what_fails_is_told_in_one_line(file: Path):
         ({"term": "a.py:A", "at": float("inf")}, "at=inf cannot be a setting"),
         ({"term": "a.py:A", "at": {"x": 1}}, "at={'x': 1} cannot be a setting"),
         ({"term": "a.py:A", "at": [1, {"x": 1}]}, "cannot be a setting"),
-        ({"term": "a.py:A", "weight": {"kind": "linear", "x": 1}}, "weight: x is not a key"),
+        ({"term": "a.py:A", "weight": {"kind": "linear", "x": 1}}, "weight: there is no key x"),
         ({"term": "a.py:A", "weight": {"init": -1}}, "weight: init=-1"),
         (3, "loss.own_terms.0=3: must be a valid string"),
     ],
