@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,6 +37,7 @@ from pipeline.recipe import Recipe
 
 WEIGHTS = "policy.safetensors"
 """Weights alone, where a policy was exported; a run directory holds checkpoints instead."""
+MADE = "made"
 FRAMES = "frames"
 DIGEST = "sha256"
 _AGAIN = "export it again with: make results"
@@ -103,7 +105,9 @@ def _untrained(recipe: Recipe, env: EnvBase) -> TensorDictModuleBase:
 
 def save_weights(actor: TensorDictModuleBase, path: Path, *, frames: int) -> None:
     """Writes the weights as safetensors, which hold tensors and nothing that runs."""
-    metadata = {FRAMES: str(frames), DIGEST: _digest(actor, frames)}
+    made = {FRAMES: frames, DIGEST: _digest(actor, frames)}
+    # One entry: safetensors writes several in an order that changes from process to process.
+    metadata = {MADE: json.dumps(made)}
     with whole_file(path) as temporary:
         save_model(actor, str(temporary), metadata=metadata)
         _with_usual_mode(temporary)
@@ -122,14 +126,15 @@ def _load_weights(actor: TensorDictModuleBase, path: Path) -> int:
         load_model(actor, str(path))
         with safe_open(str(path), framework="pt") as file:
             metadata = file.metadata()
-        frames = int(metadata[FRAMES])
+        made = json.loads(metadata[MADE]) if MADE in metadata else metadata  # of files of before
+        frames = int(made[FRAMES])
     except (SafetensorError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"{path} is damaged or does not fit the config.yaml beside it ({error}); {_AGAIN}"
         ) from error
     require_finite(actor, path)
-    # Files of before have none.
-    if metadata.get(DIGEST, digest := _digest(actor, frames)) != digest:
+    # The oldest have none.
+    if made.get(DIGEST, digest := _digest(actor, frames)) != digest:
         raise DamagedError(f"{path}: is not as it was written (another checksum); {_AGAIN}")
     return frames
 
